@@ -162,24 +162,6 @@ def on_two_grids(of_color: Intrinsics, depth_size: tuple[int, int]) -> tuple[Int
     return of_color.resized(*depth_size), of_color
 
 
-def frames_of(
-    pairs: Sequence[Pair],
-    intrinsics: Intrinsics,
-    unit: DepthUnit,
-    *,
-    color_intrinsics: Intrinsics | None = None,
-    with_color: bool = True,
-    pose_of: Callable[[Pair], F64 | None] = lambda pair: None,
-    time_of: Callable[[Pair], float | None] = lambda pair: None,
-) -> tuple[tuple[Frame, ...], tuple[Dropped, ...]]:
-    """`frames_with` for a capture with one camera; `pose_of` may raise a RealsimError, which costs that frame only."""
-
-    def view_of(pair: Pair) -> View:
-        return View(intrinsics, color_intrinsics, pose_of(pair), time_of(pair))
-
-    return frames_with(pairs, unit, view_of, with_color=with_color)
-
-
 def frames_with(
     pairs: Sequence[Pair], unit: DepthUnit, view_of: Callable[[Pair], View], *, with_color: bool = True
 ) -> tuple[tuple[Frame, ...], tuple[Dropped, ...]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from realsim.core.geometry import interpolated_T
 from realsim.core.types import F64
 
 SAME_INSTANT = 1e-6
@@ -49,23 +50,15 @@ def interpolate_poses(times: F64, poses: F64, at: F64, max_gap: float) -> list[F
     Returns:
         One (4, 4) a time, or None where there are no samples close enough around it.
     """
-    from scipy.spatial.transform import Rotation, Slerp
-
     out: list[F64 | None] = [None] * len(at)
     if not len(times):
         return out
-    closest = nearest(times, at)
-    for k, t in enumerate(at):
-        if abs(times[closest[k]] - t) <= SAME_INSTANT:
-            out[k] = poses[closest[k]].copy()
-            continue
-        right = int(np.searchsorted(times, t))
-        if right == 0 or right == len(times) or times[right] - times[right - 1] > max_gap:
-            continue
-        pair = slice(right - 1, right + 1)
-        share = (t - times[right - 1]) / (times[right] - times[right - 1])
-        T = np.eye(4)
-        T[:3, :3] = Slerp(times[pair], Rotation.from_matrix(poses[pair, :3, :3]))(t).as_matrix()
-        T[:3, 3] = (1 - share) * poses[right - 1, :3, 3] + share * poses[right, :3, 3]
-        out[k] = T
+    closest, right = nearest(times, at), np.searchsorted(times, at)
+    inner = np.flatnonzero((right > 0) & (right < len(times)))
+    inner = inner[times[right[inner]] - times[right[inner] - 1] <= max_gap]
+    if len(inner):
+        for k, T in zip(inner, interpolated_T(times, poses, at[inner]), strict=True):
+            out[k] = T
+    for k in np.flatnonzero(np.abs(times[closest] - at) <= SAME_INSTANT):
+        out[k] = poses[closest[k]].copy()
     return out

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -82,6 +82,17 @@ def color_folder(folder: Path) -> Path | None:
 def depth_folder(folder: Path) -> Path | None:
     """The subfolder with depth images, or None."""
     return subfolder(folder, DEPTH_FOLDERS, DEPTH_SUFFIXES)
+
+
+def image_files(folder: Path) -> tuple[list[Path], list[Path]]:
+    """Colour and depth images of the usual subfolders."""
+    color, depth = color_folder(folder), depth_folder(folder)
+    return list_files(color, COLOR_SUFFIXES) if color else [], list_files(depth, DEPTH_SUFFIXES) if depth else []
+
+
+def lacking(parts: Mapping[str, object]) -> tuple[str, ...]:
+    """Names of the parts that are not there."""
+    return tuple(name for name, there in parts.items() if not there)
 
 
 def last_number(stem: str) -> int | None:

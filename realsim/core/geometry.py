@@ -69,6 +69,17 @@ def log_so3(R: ArrayLike) -> Array:
     return Rotation.from_matrix(np.asarray(R, float)).as_rotvec()
 
 
+def interpolated_T(times: Array, T: Array, at: Array) -> Array:
+    """(M, 4, 4) poses at times (M,) within those of samples (N >= 2, 4, 4): positions linearly, rotations along the
+    shortest arc (slerp, Shoemake 1985)."""
+    from scipy.spatial.transform import Rotation, Slerp
+
+    out: Array = np.tile(np.eye(4), (len(at), 1, 1))
+    out[:, :3, :3] = Slerp(times, Rotation.from_matrix(T[:, :3, :3]))(at).as_matrix()
+    out[:, :3, 3] = np.stack([np.interp(at, times, along) for along in T[:, :3, 3].T], 1)
+    return out
+
+
 def angle_deg(R: ArrayLike) -> float:
     """Angle of a rotation matrix in degrees."""
     return float(np.degrees(np.linalg.norm(log_so3(R))))

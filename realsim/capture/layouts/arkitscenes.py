@@ -19,7 +19,7 @@ from realsim.capture.config import CaptureConfig
 from realsim.capture.images import ConfidenceImage
 from realsim.capture.intrinsics import Camera, no_intrinsics
 from realsim.capture.layout import PHONE, Layout, Recognition
-from realsim.capture.listing import Pair, list_files, pose_file
+from realsim.capture.listing import Pair, lacking, list_files, pose_file
 from realsim.capture.poses import no_common_time, read_rows
 from realsim.core.errors import CaptureError, PoseError
 from realsim.core.files import read_text
@@ -40,16 +40,13 @@ def root_of(folder: Path) -> Path:
 
 def recognise(folder: Path) -> Recognition:
     root = root_of(folder)
-    kinds = {
-        DEPTH: (".png", f"depth images ({DEPTH}/)"),
-        COLOR: (".png", f"colour images ({COLOR}/)"),
-        CAMERAS: (".pincam", f"intrinsics ({CAMERAS}/*.pincam)"),
+    parts = {
+        f"depth images ({DEPTH}/)": list_files(root / DEPTH, (".png",)),
+        f"colour images ({COLOR}/)": list_files(root / COLOR, (".png",)),
+        f"intrinsics ({CAMERAS}/*.pincam)": list_files(root / CAMERAS, (".pincam",)),
     }
-    found = {name: bool(list_files(root / name, (suffix,))) for name, (suffix, _) in kinds.items()}
-    if not any(found.values()):
-        return Recognition()
-    evidence = tuple(f"{name}/" for name, there in found.items() if there)
-    return Recognition(evidence, tuple(kinds[name][1] for name, there in found.items() if not there), score=40)
+    evidence = tuple(f"{files[0].parent.name}/" for files in parts.values() if files)
+    return Recognition(evidence, lacking(parts), score=40) if evidence else Recognition()
 
 
 def read(folder: Path, config: CaptureConfig) -> FrameSet:

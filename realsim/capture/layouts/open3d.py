@@ -9,9 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from realsim.capture.assemble import cameras, capture, depth_unit, frames_of, require_both
+from realsim.capture.assemble import View, cameras, capture, depth_unit, frames_with, require_both
 from realsim.capture.config import CaptureConfig
-from realsim.capture.images import COLOR_SUFFIXES, DEPTH_SUFFIXES
 from realsim.capture.intrinsics import Camera, no_intrinsics, read_camera
 from realsim.capture.layout import Layout, Recognition
 from realsim.capture.listing import (
@@ -19,8 +18,9 @@ from realsim.capture.listing import (
     color_folder,
     depth_folder,
     first_file,
+    image_files,
+    lacking,
     last_number,
-    list_files,
     pair_by_stem,
     pose_file,
 )
@@ -71,13 +71,10 @@ def recognise(folder: Path) -> Recognition:
     evidence = evidence or [name for name in LEFT if (folder / name).is_file()]
     if not evidence:
         return Recognition()
-    missing = []
-    if depth_folder(folder) is None:
-        missing.append("depth images (depth/)")
-    if color_folder(folder) is None:
-        missing.append("colour images (color/, image/ or rgb/)")
-    evidence += [f"{p.name}/" for p in (color_folder(folder), depth_folder(folder)) if p is not None]
-    return Recognition(tuple(evidence), tuple(missing), score=10 + 10 * (trajectory is not None))
+    color, depth = color_folder(folder), depth_folder(folder)
+    evidence += [f"{p.name}/" for p in (color, depth) if p is not None]
+    missing = lacking({"depth images (depth/)": depth, "colour images (color/, image/ or rgb/)": color})
+    return Recognition(tuple(evidence), missing, score=10 + 10 * (trajectory is not None))
 
 
 def read(folder: Path, config: CaptureConfig) -> FrameSet:
@@ -85,9 +82,7 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
     camera = default_camera(folder) if source is None else read_camera(source)
     if camera is None:
         raise no_intrinsics(folder, (*INTRINSICS, CAM_PARAMS))
-    color_in, depth_in = color_folder(folder), depth_folder(folder)
-    color = list_files(color_in, COLOR_SUFFIXES) if color_in else []
-    depth = list_files(depth_in, DEPTH_SUFFIXES) if depth_in else []
+    color, depth = image_files(folder)
     require_both(color, depth, folder, "color/ and depth/ with images")
     pairs, rule = pair_by_stem(color, depth)
     try:
@@ -105,9 +100,7 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
         headers, matrices = read_trajectory(trajectory)
         poses, pose_rule = poses_by_name(pairs, headers, matrices, trajectory)
         assumptions += ["poses are camera to world in metres, OpenCV camera axes", pose_rule]
-    frames, dropped = frames_of(
-        pairs, of_depth, unit, color_intrinsics=of_color, pose_of=lambda pair: poses.get(pair.name)
-    )
+    frames, dropped = frames_with(pairs, unit, lambda pair: View(of_depth, of_color, poses.get(pair.name)))
     return capture(folder, LAYOUT.name, frames, dropped, assumptions, camera.warnings)
 
 

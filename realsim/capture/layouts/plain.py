@@ -4,12 +4,18 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from realsim.capture.assemble import cameras, capture, depth_unit, frames_of
+from realsim.capture.assemble import View, cameras, capture, depth_unit, frames_with
 from realsim.capture.config import CaptureConfig
-from realsim.capture.images import COLOR_SUFFIXES, DEPTH_SUFFIXES
 from realsim.capture.intrinsics import no_intrinsics, read_camera
 from realsim.capture.layout import Layout, Recognition
-from realsim.capture.listing import color_folder, depth_folder, first_file, list_files, pair_by_stem
+from realsim.capture.listing import (
+    color_folder,
+    depth_folder,
+    first_file,
+    image_files,
+    lacking,
+    pair_by_stem,
+)
 from realsim.core.errors import CaptureError
 from realsim.core.types import FrameSet
 
@@ -26,27 +32,21 @@ def recognise(folder: Path) -> Recognition:
     if color is None and depth is None:
         return Recognition()
     evidence = [f"{p.name}/" for p in (color, depth) if p is not None] + ([camera.name] if camera else [])
-    missing = []
-    if depth is None:
-        missing.append("depth images (depth/)")
-    if camera is None:
-        missing.append("intrinsics (intrinsics.json, .yaml or .txt)")
-    return Recognition(tuple(evidence), tuple(missing), score=5)
+    parts = {"depth images (depth/)": depth, "intrinsics (intrinsics.json, .yaml or .txt)": camera}
+    return Recognition(tuple(evidence), lacking(parts), score=5)
 
 
 def read(folder: Path, config: CaptureConfig) -> FrameSet:
-    color_in, depth_in, source = color_folder(folder), depth_folder(folder), intrinsics_file(folder)
-    if depth_in is None:
+    (color, depth), source = image_files(folder), intrinsics_file(folder)
+    if not depth:
         raise CaptureError("colour without depth", file=folder, expected="depth/ with 16-bit PNG or float images")
     if source is None:
         raise no_intrinsics(folder, ("intrinsics.json", "intrinsics.yaml", "intrinsics.txt"))
-    color = list_files(color_in, COLOR_SUFFIXES) if color_in else []
-    depth = list_files(depth_in, DEPTH_SUFFIXES)
     pairs, rule = pair_by_stem(color, depth)
     camera = read_camera(source)
     of_depth, of_color, assumed = cameras(camera, color, depth)
     unit = depth_unit(0.001, "the usual convention; this layout has none of its own", config, camera)
-    frames, dropped = frames_of(pairs, of_depth, unit, color_intrinsics=of_color, with_color=bool(color))
+    frames, dropped = frames_with(pairs, unit, lambda pair: View(of_depth, of_color), with_color=bool(color))
     assumptions = [*camera.notes, *assumed, unit.note]
     assumptions += [rule, "depth is registered to colour"] if color else ["there is no colour"]
     assumptions.append("this layout has no poses: they have to be estimated")

@@ -16,7 +16,7 @@ from realsim.capture.config import CaptureConfig
 from realsim.capture.images import COLOR_SUFFIXES, ConfidenceImage
 from realsim.capture.intrinsics import camera_from_mapping, no_intrinsics
 from realsim.capture.layout import PHONE, Layout, Recognition
-from realsim.capture.listing import Pair, list_files, pair_by_stem
+from realsim.capture.listing import Pair, lacking, list_files, pair_by_stem
 from realsim.capture.poses import matrix_of
 from realsim.core.errors import CaptureError, PoseError
 from realsim.core.files import read_json
@@ -47,15 +47,15 @@ def recognise(folder: Path) -> Recognition:
     if not cameras and root == folder:
         return Recognition()
     kind = complete_set(root)
-    missing = []
-    if not cameras:
-        missing.append("intrinsics (cameras/*.json)")
-    if not list_files(root / "depth", (".png",)):
-        missing.append("depth images (keyframes/depth/*.png)")
-    if cameras and kind is None:
-        missing.append("colour images (keyframes/images/)")
+    missing = lacking(
+        {
+            "intrinsics (cameras/*.json)": cameras,
+            "depth images (keyframes/depth/*.png)": list_files(root / "depth", (".png",)),
+            "colour images (keyframes/images/)": not cameras or kind is not None,
+        }
+    )
     evidence = [f"{root.name}/{name}/*.json" for name in cameras] + ["keyframes/"] * (not cameras)
-    return Recognition(tuple(evidence), tuple(missing), score=35)
+    return Recognition(tuple(evidence), missing, score=35)
 
 
 def read(folder: Path, config: CaptureConfig) -> FrameSet:

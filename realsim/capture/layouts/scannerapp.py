@@ -15,7 +15,7 @@ from realsim.capture.config import CaptureConfig
 from realsim.capture.images import COLOR_SUFFIXES, ConfidenceImage
 from realsim.capture.intrinsics import camera_from_mapping, no_intrinsics
 from realsim.capture.layout import PHONE, Layout, Recognition
-from realsim.capture.listing import Pair, list_files, natural_key
+from realsim.capture.listing import Pair, lacking, list_files, natural_key
 from realsim.capture.poses import matrix_of
 from realsim.core.errors import CaptureError
 from realsim.core.files import read_json
@@ -31,16 +31,14 @@ def numbered(folder: Path, prefix: str, suffixes: tuple[str, ...]) -> dict[str, 
 
 
 def recognise(folder: Path) -> Recognition:
-    kinds = {
-        "frame_*.json": (numbered(folder, "frame", (".json",)), "intrinsics (frame_*.json)"),
-        "depth_*.png": (numbered(folder, "depth", (".png",)), "depth images (depth_*.png)"),
-        "frame_*.jpg": (numbered(folder, "frame", COLOR_SUFFIXES), "colour images (frame_*.jpg)"),
-    }
-    evidence = tuple(f"{len(found)} x {name}" for name, (found, _) in kinds.items() if found)
-    # Numbered pictures alone could be anybody's.
-    if not kinds["frame_*.json"][0] and not kinds["depth_*.png"][0]:
+    facts, depth = numbered(folder, "frame", (".json",)), numbered(folder, "depth", (".png",))
+    if not facts and not depth:  # numbered pictures alone could be anybody's
         return Recognition()
-    return Recognition(evidence, tuple(lack for found, lack in kinds.values() if not found), score=30)
+    found = {"frame_*.json": facts, "depth_*.png": depth, "frame_*.jpg": numbered(folder, "frame", COLOR_SUFFIXES)}
+    evidence = tuple(f"{len(files)} x {name}" for name, files in found.items() if files)
+    what = ("intrinsics", "depth images", "colour images")
+    missing = lacking({f"{kind} ({name})": files for kind, (name, files) in zip(what, found.items(), strict=True)})
+    return Recognition(evidence, missing, score=30)
 
 
 def read(folder: Path, config: CaptureConfig) -> FrameSet:

@@ -10,12 +10,19 @@ from pathlib import Path
 
 import numpy as np
 
-from realsim.capture.assemble import capture, depth_unit, frames_of, require_both, sizes_of
+from realsim.capture.assemble import View, capture, depth_unit, frames_with, require_both, sizes_of
 from realsim.capture.config import CaptureConfig
-from realsim.capture.images import COLOR_SUFFIXES, DEPTH_SUFFIXES
 from realsim.capture.intrinsics import no_intrinsics, read_camera
 from realsim.capture.layout import Layout, Recognition
-from realsim.capture.listing import color_folder, depth_folder, first_file, list_files, pair_by_stem
+from realsim.capture.listing import (
+    color_folder,
+    depth_folder,
+    first_file,
+    image_files,
+    lacking,
+    list_files,
+    pair_by_stem,
+)
 from realsim.capture.poses import pose_in, read_matrix
 from realsim.core.types import FrameSet
 
@@ -35,19 +42,14 @@ def recognise(folder: Path) -> Recognition:
     evidence = [str(p.relative_to(folder)) for p in found.values() if p is not None]
     if not evidence:
         return Recognition()
-    missing = [f"intrinsics of {which} ({CAMERAS[which][0]})" for which, p in found.items() if p is None]
-    if depth_folder(folder) is None:
-        missing.append("depth images (depth/)")
-    if color_folder(folder) is None:
-        missing.append("colour images (color/)")
+    parts: dict[str, Path | None] = {f"intrinsics of {k} ({CAMERAS[k][0]})": p for k, p in found.items()}
+    parts |= {"depth images (depth/)": depth_folder(folder), "colour images (color/)": color_folder(folder)}
     evidence += [f"{POSES}/"] if list_files(folder / POSES, (".txt",)) else []
-    return Recognition(tuple(evidence), tuple(missing), score=30)
+    return Recognition(tuple(evidence), lacking(parts), score=30)
 
 
 def read(folder: Path, config: CaptureConfig) -> FrameSet:
-    color_in, depth_in = color_folder(folder), depth_folder(folder)
-    color = list_files(color_in, COLOR_SUFFIXES) if color_in else []
-    depth = list_files(depth_in, DEPTH_SUFFIXES) if depth_in else []
+    color, depth = image_files(folder)
     require_both(color, depth, folder, "color/ and depth/ with images")
     depth_source, color_source = camera_file(folder, "depth"), camera_file(folder, "color")
     if depth_source is None or color_source is None:
@@ -57,13 +59,8 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
     unit = depth_unit(0.001, "ScanNet's convention", config)
     pairs, rule = pair_by_stem(color, depth)
     pose_files = {} if config.ignore_poses else {p.stem: p for p in list_files(folder / POSES, (".txt",))}
-    frames, dropped = frames_of(
-        pairs,
-        depth_camera.sized(depth_size),
-        unit,
-        color_intrinsics=color_camera.sized(color_size),
-        pose_of=lambda pair: pose_in(pose_files, pair.name),
-    )
+    of_depth, of_color = depth_camera.sized(depth_size), color_camera.sized(color_size)
+    frames, dropped = frames_with(pairs, unit, lambda pair: View(of_depth, of_color, pose_in(pose_files, pair.name)))
     assumptions = [
         *depth_camera.notes,
         *color_camera.notes,

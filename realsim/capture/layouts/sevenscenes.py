@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from realsim.capture.assemble import cameras, capture, depth_unit, frames_of
+from realsim.capture.assemble import View, cameras, capture, depth_unit, frames_with
 from realsim.capture.config import CaptureConfig
 from realsim.capture.intrinsics import no_intrinsics, read_camera
 from realsim.capture.layout import Layout, Recognition
@@ -63,9 +63,7 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
     )
     unit = depth_unit(0.001, "7-Scenes' convention", config, camera)
     posed = {} if config.ignore_poses else {name: f["pose"] for name, f in files.items() if "pose" in f}
-    frames, dropped = frames_of(
-        pairs, of_depth, unit, color_intrinsics=of_color, pose_of=lambda pair: pose_in(posed, pair.name)
-    )
+    frames, dropped = frames_with(pairs, unit, lambda pair: View(of_depth, of_color, pose_in(posed, pair.name)))
     assumptions = [
         *camera.notes,
         f"the camera is that of {source}",

@@ -27,7 +27,7 @@ from realsim.capture.config import CaptureConfig
 from realsim.capture.images import ConfidenceImage, DepthImage
 from realsim.capture.intrinsics import Camera, no_intrinsics, read_camera
 from realsim.capture.layout import PHONE, Layout, Recognition
-from realsim.capture.listing import last_number, list_files, pose_file
+from realsim.capture.listing import lacking, last_number, list_files, pose_file
 from realsim.capture.video import VideoFrame, open_video
 from realsim.core.errors import CaptureError, PoseError
 from realsim.core.files import read_text
@@ -69,14 +69,9 @@ def recognise(folder: Path) -> Recognition:
     there = [name for name in (ODOMETRY, VIDEO, CAMERA) if (folder / name).is_file()]
     if ODOMETRY not in there and CAMERA not in there:
         return Recognition()
-    missing = []
-    if not list_files(folder / "depth", (".png", ".npy")):
-        missing.append("depth images (depth/)")
-    if VIDEO not in there:
-        missing.append(f"colour images ({VIDEO})")
-    if CAMERA not in there:
-        missing.append(f"intrinsics ({CAMERA})")
-    return Recognition(tuple(there), tuple(missing), score=35)
+    parts = {"depth images (depth/)": list_files(folder / "depth", (".png", ".npy"))}
+    named = {f"colour images ({VIDEO})": VIDEO in there, f"intrinsics ({CAMERA})": CAMERA in there}
+    return Recognition(tuple(there), lacking({**parts, **named}), score=35)
 
 
 def read(folder: Path, config: CaptureConfig) -> FrameSet:

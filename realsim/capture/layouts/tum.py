@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from realsim.capture.assemble import cameras, capture, depth_unit, frames_of
+from realsim.capture.assemble import View, cameras, capture, depth_unit, frames_with
 from realsim.capture.association import associate, interpolate_poses
 from realsim.capture.config import CaptureConfig
 from realsim.capture.intrinsics import Camera, no_intrinsics, read_camera
@@ -111,13 +111,8 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
         lonely += late
         assumptions += pose_notes
         warnings += pose_warnings
-    frames, dropped = frames_of(
-        pairs,
-        of_depth,
-        unit,
-        color_intrinsics=of_color,
-        pose_of=lambda pair: poses.get(pair.name),
-        time_of=lambda pair: times[pair.name],
+    frames, dropped = frames_with(
+        pairs, unit, lambda pair: View(of_depth, of_color, poses.get(pair.name), times[pair.name])
     )
     return capture(folder, LAYOUT.name, frames, lonely + dropped, assumptions, warnings + list(camera.warnings))
 

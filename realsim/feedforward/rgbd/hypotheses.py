@@ -11,9 +11,9 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
-from realsim.core.geometry import invert_T, make_T
+from realsim.core.geometry import interpolated_T, invert_T, make_T
 from realsim.core.types import F64
 from realsim.feedforward.rgbd.depth_colour_sync import OTHERS, has_own_depth
 
@@ -81,16 +81,8 @@ def by_depth_without_colour(found: Comparison, T: F64) -> float:
 
 def shift_poses(T: F64, shift: float) -> F64:
     """Poses `shift` frames later, interpolated; beyond the ends they stay."""
-    n = len(T)
-    at = np.clip(np.arange(n) + shift, 0, n - 1)
-    out = np.tile(np.eye(4), (n, 1, 1))
-    if n < 2:
-        return T
-    out[:, :3, :3] = Slerp(np.arange(n), Rotation.from_matrix(T[:, :3, :3]))(at).as_matrix()
-    low = np.minimum(at.astype(int), n - 2)
-    part = (at - low)[:, None]
-    out[:, :3, 3] = (1 - part) * T[low, :3, 3] + part * T[low + 1, :3, 3]
-    return out
+    frame = np.arange(len(T), dtype=float)
+    return T if len(T) < 2 else interpolated_T(frame, T, np.clip(frame + shift, 0, len(T) - 1))
 
 
 def _scaled(T: F64, factor: float) -> F64:
