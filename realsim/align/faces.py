@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.core.meshes import linked
+from realsim.core.meshes import linked, near_pieces
 from realsim.core.types import F64
 
 LEAST_SIDE, LEAST_AREA = 0.30, 0.15
@@ -57,16 +57,10 @@ def connected(points: F64, join: float, steep: float = 4.0, least: int = 50) -> 
 
     With a quarter, a step of 1.2 cm separates two faces that touch.
     """
-    from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import cKDTree
-
     if not len(points):
         return []
-    scaled = points * [1.0, 1.0, steep]
-    graph = cKDTree(scaled).sparse_distance_matrix(cKDTree(scaled), join, output_type="coo_matrix")
-    count, component = connected_components(graph, directed=False)
-    size = np.bincount(component, minlength=count)
-    return [np.flatnonzero(component == k) for k in range(count) if size[k] > least]
+    component = near_pieces(points * [1.0, 1.0, steep], join)
+    return [np.flatnonzero(component == k) for k in np.flatnonzero(np.bincount(component) > least)]
 
 
 def large(xy: F64, cell: float) -> bool:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.align.cloud import VOXEL, Cloud
-from realsim.align.faces import LEVEL_DEG, connected, plane_of, smooth_regions
+from realsim.align.faces import LEVEL_DEG, connected, plane_of, seen_area, smooth_regions
 from realsim.core.types import F64, Bool
 
 Indices = NDArray[np.intp]
@@ -107,7 +107,7 @@ def _is_tread(cloud: Cloud, face: Indices) -> bool:
     slope, _ = plane_of(points)
     _, sides, _ = cv2.minAreaRect(points[:, :2].astype(np.float32))
     deep, wide = sorted(s + cloud.voxel for s in sides)
-    seen = len(np.unique(np.floor(points[:, :2] / cloud.voxel).astype(np.int64) @ [1_000_003, 1])) * cloud.voxel**2
+    seen = seen_area(points[:, :2], cloud.voxel)
     level = np.degrees(np.arctan(np.hypot(*slope))) < LEVEL_DEG
     return bool(level and deep > DEEP and wide > WIDE and seen > FILLED * deep * wide)
 

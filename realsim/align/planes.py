@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from realsim.align.cloud import Cloud
+from realsim.align.faces import seen_area
 from realsim.core.geometry import fit_plane
 from realsim.core.types import F64, Bool
 
@@ -110,10 +111,7 @@ def plane_weights(cloud: Cloud) -> F64:
 
 def covered_area(points: F64, normal: F64, cell: float = CELL) -> float:
     """m^2 of the occupied cells of points (M, 3) in the plane of `normal`."""
-    if not len(points):
-        return 0.0
-    cells = np.floor(points @ plane_axes(normal).T / cell).astype(np.int64)
-    return float(len(np.unique(cells[:, 0] * 1_000_003 + cells[:, 1])) * cell**2)
+    return seen_area(points @ plane_axes(normal).T, cell)
 
 
 def plane_axes(normal: F64) -> F64:

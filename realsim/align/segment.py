@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from enum import IntEnum
-from importlib.metadata import entry_points
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from realsim.align.cloud import Cloud
-from realsim.core.errors import AlignError, UnknownNameError
+from realsim.core.errors import AlignError
 from realsim.core.registry import Registry
 
 Labels = NDArray[np.uint8]
@@ -28,7 +27,7 @@ class Label(IntEnum):
     """A level top face large enough to stand on."""
 
 
-SEGMENTERS = Registry("segmenter", {"geometric": "realsim.align.geometric:segment"})
+SEGMENTERS = Registry("segmenter", {"geometric": "realsim.align.geometric:segment"}, "realsim.segmenters")
 """Name -> `Segmenter`. Installed packages add theirs as entry points `realsim.segmenters`."""
 
 
@@ -40,27 +39,14 @@ class Segmenter(Protocol):
         ...
 
 
-def find_segmenter(name: str) -> Segmenter:
-    """A segmenter of the registry, or of an installed package's entry point group `realsim.segmenters`.
-
-    Raises:
-        UnknownNameError: neither knows the name.
-    """
-    if name in SEGMENTERS:
-        return SEGMENTERS[name]
-    plugins = {point.name: point for point in entry_points(group="realsim.segmenters")}
-    if name not in plugins:
-        raise UnknownNameError("segmenter", name, [*SEGMENTERS, *plugins])
-    return plugins[name].load()
-
-
 def segmented(name: str, cloud: Cloud) -> Labels:
     """The labels of the segmenter `name`, checked.
 
     Raises:
+        UnknownNameError: no such segmenter.
         AlignError: it returns something else than a label a point.
     """
-    labels = np.asarray(find_segmenter(name)(cloud))
+    labels = np.asarray(SEGMENTERS[name](cloud))
     if labels.shape != (len(cloud),) or not np.isin(labels, list(Label)).all():
         raise AlignError(
             f"the segmenter {name!r} does not follow the contract of segmenters",

@@ -83,36 +83,37 @@ def finish(raw: FrameSet, config: CaptureConfig) -> Finished:
         capture, looks = _without(capture, looks, blurred(looks))
     capture, looks = _without(capture, looks, pick(capture.frames, looks, config.max_frames))
     capture = put_right(capture)
+    doubts: list[str | None] = []
     odd = _odd_cameras(capture.frames)
     if odd:
         note = f"{len(odd)} of {len(capture.frames)} frames have a camera unlike all others' ({', '.join(odd[:3])})"
-        capture = replace(capture, warnings=(*capture.warnings, f"{note}: are their intrinsics damaged?"))
+        doubts.append(f"{note}: are their intrinsics damaged?")
     aside = [
         c for f in capture.frames for c in {f.intrinsics, f.color_intrinsics} if c and off_centre(c) > OFF_CENTRE[0]
     ]
     if aside:
         c = aside[0]
         note = f"the principal point ({c.cx:.0f}, {c.cy:.0f}) is far from the middle of {c.width}x{c.height} pixels"
-        capture = replace(capture, warnings=(*capture.warnings, f"{note}: are the intrinsics of another resolution?"))
+        doubts.append(f"{note}: are the intrinsics of another resolution?")
     stamped = [(f.timestamp, f.name) for f in capture.frames if f.timestamp is not None]
     late = [f"{b}, {t1:.3f} s after {t0:.3f} s" for (t0, _), (t1, b) in pairwise(stamped) if t1 <= t0]
     if late:
         note = f"{len(late)} of {len(stamped)} time stamps do not increase ({late[0]})"
-        capture = replace(capture, warnings=(*capture.warnings, f"{note}: are the stamps or the order damaged?"))
+        doubts.append(f"{note}: are the stamps or the order damaged?")
     without = [f.name for f in capture.frames if f.read_confidence is None]
     if 0 < len(without) < len(capture.frames):
         note = f"{len(without)} of {len(capture.frames)} frames have no confidence: all of their depth is believed"
-        capture = replace(capture, warnings=(*capture.warnings, f"{note} ({', '.join(without[:3])})"))
+        doubts.append(f"{note} ({', '.join(without[:3])})")
     agreement, pose_note = check_agreement(capture)
     # Metric poses that agree with the depth have confirmed its unit.
     confirmed = agreement is not None and capture.poses_metric and agreement.as_read >= GOOD
     limits = (config.min_depth, config.max_depth)
     units = () if confirmed else (unit_note, check_height(capture.frames))
-    notes = [*units, pose_note, smeared(looks)]
+    doubts += [*units, pose_note, smeared(looks)]
     capture = replace(
         capture,
         frames=_files_named_once([replace(f, read_depth=InRange(f.read_depth, *limits)) for f in capture.frames]),
-        warnings=(*capture.warnings, *(note for note in notes if note is not None)),
+        warnings=(*capture.warnings, *filter(None, doubts)),
     )
     return Finished(capture, tuple(looks), poses, agreement, seen)
 

@@ -71,6 +71,14 @@ def linked(one: ArrayLike, other: ArrayLike, count: int) -> NDArray[np.int64]:
     return np.asarray(connected_components(graph, directed=False)[1], np.int64)
 
 
+def near_pieces(points: NDArray[np.float64], reach: float) -> NDArray[np.int64]:
+    """(M,) number of the piece of each point (M, D): those within `reach` of each other are one."""
+    from scipy.spatial import cKDTree
+
+    pairs = cKDTree(points).query_pairs(reach, output_type="ndarray")
+    return linked(pairs[:, 0], pairs[:, 1], len(points))
+
+
 def members(label: NDArray[np.int64]) -> list[NDArray[np.int64]]:
     """Nodes of each component, the largest first; of equally large ones the one with the lowest node."""
     parts = [np.flatnonzero(label == k) for k in range(int(label.max(initial=-1)) + 1)]

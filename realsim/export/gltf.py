@@ -132,3 +132,33 @@ class GltfFile:
     def _add(self, table: str, entry: dict[str, Any]) -> int:
         self._document[table].append(entry)
         return len(self._document[table]) - 1
+
+
+def glb_bytes(
+    vertices: NDArray[np.float64],
+    triangles: NDArray[np.int32],
+    normals: NDArray[np.float64],
+    colors: NDArray[np.uint8] | None = None,
+    texture: tuple[bytes, NDArray[np.float64]] | None = None,
+) -> bytes:
+    """A triangle mesh as one glTF 2.0 node whose rotation turns our z up into glTF's y up.
+
+    Args:
+        vertices: (V, 3) metres. normals: (V, 3) unit. triangles: (K, 3). colors: (V, 3) sRGB, stored linear as the
+            glTF specification (3.7.2.1) asks. texture: a PNG and (V, 2) places in it, v counted from the bottom row.
+    """
+    file = GltfFile()
+    pbr = {"metallicFactor": 0.0, "roughnessFactor": 0.9}
+    rgba = None
+    if colors is not None:
+        opaque = np.full((len(colors), 1), 65535)
+        rgba = np.concatenate([np.rint(65535 * linear_rgb(colors)), opaque], 1).astype("<u2")
+    mesh = file.mesh("terrain", vertices, normals, triangles, pbr, rgba, texture)
+    file.node("terrain", mesh=mesh, rotation=Z_UP_TO_Y_UP)
+    return file.to_bytes()
+
+
+def linear_rgb(colors: NDArray[np.uint8]) -> F64:
+    """(V, 3) linear light in 0..1 of sRGB bytes, as cameras give them (IEC 61966-2-1)."""
+    s = colors / 255.0
+    return np.where(s <= 0.04045, s / 12.92, ((s + 0.055) / 1.055) ** 2.4)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from realsim import robots
 from realsim.core.files import write_bytes, write_text
@@ -15,9 +14,9 @@ from realsim.export.check import check_scene
 from realsim.export.config import SceneConfig
 from realsim.export.contact.choose import fit_contact
 from realsim.export.contact.shape import Solids
-from realsim.export.glb import glb_bytes
+from realsim.export.gltf import glb_bytes
 from realsim.export.mjcf import scene_xml
-from realsim.export.visual import bake, obj_bytes, vertex_normals
+from realsim.export.visual import textured_obj, vertex_normals
 
 DRAWN_TRIANGLES = 80_000
 """Number of triangles that viewers draw fluently; the exact surface is in mesh.ply and mesh.glb."""
@@ -81,7 +80,7 @@ def write_terrain(
         "mesh.ply": ply_bytes(vertices, triangles, colors),
         "mesh.glb": glb_bytes(vertices, triangles, normals, colors),
     }
-    files |= _visual(*simplify(vertices, triangles, colors, DRAWN_TRIANGLES))
+    files |= textured_obj("visual", *simplify(vertices, triangles, colors, DRAWN_TRIANGLES))
     texture = "visual.png" if "visual.png" in files else None
     files |= {asset.file: asset.data for asset in contact.assets if asset.file}
     robot = None
@@ -117,12 +116,3 @@ def _seen_from(aligned: AlignedScene) -> float:
     directions = np.radians([60.0, 120.0, -60.0, -120.0])
     best = np.argmax(np.cos(directions) * ahead[0] + np.sin(directions) * ahead[1])
     return float(np.degrees(directions[best]).round())
-
-
-def _visual(vertices: F64, triangles: NDArray[np.int32], colors: NDArray[np.uint8] | None) -> dict[str, bytes]:
-    """Files of the drawn mesh: an OBJ, and its texture where there is colour."""
-    normals = vertex_normals(vertices, triangles)
-    if colors is None:
-        return {"visual.obj": obj_bytes(vertices, triangles, normals)}
-    image, uv = bake(vertices, triangles, colors)
-    return {"visual.png": image, "visual.obj": obj_bytes(vertices, triangles, normals, uv)}

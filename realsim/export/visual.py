@@ -35,6 +35,15 @@ def obj_bytes(vertices: F64, triangles: I32, normals: F64, uv: F64 | None = None
     return "".join(parts).encode("ascii")
 
 
+def textured_obj(name: str, vertices: F64, triangles: I32, colors: NDArray[np.uint8] | None) -> dict[str, bytes]:
+    """File name -> content of a mesh as OBJ, and of its texture where there is colour."""
+    normals = vertex_normals(vertices, triangles)
+    if colors is None:
+        return {f"{name}.obj": obj_bytes(vertices, triangles, normals)}
+    image, uv = bake(vertices, triangles, colors)
+    return {f"{name}.obj": obj_bytes(vertices, triangles, normals, uv), f"{name}.png": image}
+
+
 def _rows(line: str, table: NDArray) -> str:
     """Every row of a table through one printf pattern, in a single formatting call (much faster than a loop)."""
     return (line + "\n") * len(table) % tuple(table.ravel().tolist())

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from realsim.core.errors import MeshError
+from realsim.core.meshes import near_pieces
 from realsim.core.ordered import in_order
 from realsim.core.progress import track
 from realsim.core.types import F64, AlignedScene
@@ -103,13 +104,9 @@ def gather(aligned: AlignedScene, resolution: float | None, min_views: int) -> E
 def _moved(points: F64, cell: float, share: float) -> tuple[str, ...]:
     """The warning about places (M, 3), one a cell of `cell` metres, that were measured by some views and looked through
     by LOOKS others; `share` of all places were looked through."""
-    from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import cKDTree
-
     if len(points) * cell**2 < MOVED:
         return ()
-    tree = cKDTree(points)
-    piece = connected_components(tree.sparse_distance_matrix(tree, 2.5 * cell), directed=False)[1]
+    piece = near_pieces(points, 2.5 * cell)
     area = np.bincount(piece) * cell**2
     if area.max() < MOVED:
         return ()

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from realsim.core.files import write_bytes
-from realsim.core.meshes import across, ply_bytes
+from realsim.core.meshes import ply_bytes
 from realsim.export.formats.scene import SceneOnDisk
-from realsim.export.glb import glb_bytes
-from realsim.export.visual import bake, obj_bytes, vertex_normals
+from realsim.export.gltf import glb_bytes
+from realsim.export.visual import bake, textured_obj, vertex_normals
 
 
 def glb(scene: SceneOnDisk, folder: Path) -> list[Path]:
@@ -40,16 +41,11 @@ def obj(scene: SceneOnDisk, folder: Path) -> list[Path]:
 
 def drawn(scene: SceneOnDisk, name: str) -> dict[str, bytes]:
     """File name -> content of the scanned surface as OBJ, with a material and a texture where the scan has colour."""
-    normals = vertex_normals(scene.vertices, scene.triangles)
+    files = textured_obj(name, scene.vertices, scene.triangles, scene.colors)
     if scene.colors is None:
-        return {f"{name}.obj": obj_bytes(scene.vertices, scene.triangles, normals)}
-    image, uv = bake(scene.vertices, scene.triangles, scene.colors)
-    head = f"mtllib {name}.mtl\nusemtl scan\n".encode()
-    return {
-        f"{name}.obj": head + obj_bytes(scene.vertices, scene.triangles, normals, uv),
-        f"{name}.mtl": f"newmtl scan\nKd 1 1 1\nmap_Kd {name}.png\n".encode(),
-        f"{name}.png": image,
-    }
+        return files
+    files[f"{name}.obj"] = f"mtllib {name}.mtl\nusemtl scan\n".encode() + files[f"{name}.obj"]
+    return files | {f"{name}.mtl": f"newmtl scan\nKd 1 1 1\nmap_Kd {name}.png\n".encode()}
 
 
 def stl(scene: SceneOnDisk, folder: Path) -> list[Path]:
@@ -68,8 +64,7 @@ def ply(scene: SceneOnDisk, folder: Path) -> list[Path]:
 
 def stl_bytes(vertices: np.ndarray, triangles: np.ndarray) -> bytes:
     """(V, 3) and (K, 3) as binary STL."""
-    normal = across(vertices, triangles)
-    rows = np.zeros(len(triangles), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-    rows["normal"] = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-20)
-    rows["corners"] = vertices[triangles]
-    return b"realsim, metres, z up".ljust(80, b"\0") + np.uint32(len(triangles)).tobytes() + rows.tobytes()
+    import trimesh
+
+    made: Any = trimesh.Trimesh(vertices, triangles, process=False).export(file_type="stl")
+    return bytes(made)

@@ -11,6 +11,7 @@ from realsim.core.errors import MissingExtraError
 from realsim.core.files import write_text
 from realsim.core.geometry import R_to_quat
 from realsim.export.formats.scene import Box, Convex, SceneOnDisk
+from realsim.export.gltf import linear_rgb
 
 
 def usd(scene: SceneOnDisk, folder: Path) -> list[Path]:
@@ -25,10 +26,7 @@ def usd(scene: SceneOnDisk, folder: Path) -> list[Path]:
 
     scan = _mesh(stage, "/terrain/scan", scene.vertices, scene.triangles)
     if scene.colors is not None:
-        # Display colours are linear in USD; those of a camera are sRGB (IEC 61966-2-1).
-        s = scene.colors / 255.0
-        linear = np.where(s <= 0.04045, s / 12.92, ((s + 0.055) / 1.055) ** 2.4)
-        scan.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex).Set(_vec3(linear))
+        scan.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex).Set(_vec3(linear_rgb(scene.colors)))
     UsdGeom.Xform.Define(stage, "/terrain/collision")
     for box in scene.all_boxes():
         _cube(stage, f"/terrain/collision/{box.name}", box)
