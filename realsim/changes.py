@@ -196,18 +196,12 @@ def _cloud(surface: Surface, rng: np.random.Generator, spacing: float = 0.02) ->
 
 
 def _around(z: F64, reach: int, extreme: np.ufunc) -> F64:
-    """The extreme of the heights within `reach` cells of each, NaN left out."""
-    for axis in (0, 1):
-        out = z.copy()
-        for k in range(1, reach + 1):
-            for way in (k, -k):
-                shifted = np.roll(z, way, axis)
-                edge = [slice(None)] * 2
-                edge[axis] = slice(None, k) if way > 0 else slice(-k, None)
-                shifted[tuple(edge)] = np.nan
-                out = extreme(out, shifted)
-        z = out
-    return z
+    """The extreme (fmax or fmin) of the heights within `reach` cells of each, NaN left out."""
+    from scipy import ndimage
+
+    filter_, none = (ndimage.maximum_filter, -np.inf) if extreme is np.fmax else (ndimage.minimum_filter, np.inf)
+    out = filter_(np.where(np.isfinite(z), z, none), 2 * reach + 1, mode="constant", cval=none)
+    return np.where(np.isfinite(out), out, np.nan)
 
 
 def _pieces(mask: Bool, cell: float) -> list[Bool]:

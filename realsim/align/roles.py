@@ -7,7 +7,7 @@ import numpy as np
 from realsim.align.config import AlignConfig
 from realsim.align.platforms import Face, oriented_extent
 from realsim.core.errors import AlignError
-from realsim.core.geometry import invert_T, make_T, transform
+from realsim.core.geometry import invert_T, make_T, outside_hull, transform
 from realsim.core.types import F64, MetricScene, Scan
 
 SLACK = 0.10
@@ -68,7 +68,7 @@ def as_asked(
             said = f"pixel {pixel[1]} {pixel[2]} of frame {pixel[0]}"
         else:
             continue
-        distances = [distance_outside(face.outline, where) for face in faces]
+        distances = [float(outside_hull(face.outline, where[None])[0]) for face in faces]
         if not distances or min(distances) > SLACK:
             raise AlignError(
                 f"no platform where the {what} was asked for",
@@ -115,16 +115,6 @@ def described(faces: list[Face], T_sim_level: F64) -> str:
         x, y, _ = transform(T_sim_level, np.array([*face.centroid, face.height]))
         parts.append(f"a platform of {face.area:.2f} m², {face.height:.2f} m high, at {x:.2f} {y:.2f}")
     return "; ".join(parts)
-
-
-def distance_outside(outline: F64, xy: F64) -> float:
-    """Metres by which a point lies outside a convex counter-clockwise outline (0 inside)."""
-    a, b = outline, np.roll(outline, -1, 0)
-    edge = b - a
-    if np.all(edge[:, 0] * (xy - a)[:, 1] - edge[:, 1] * (xy - a)[:, 0] >= 0):
-        return 0.0
-    t = np.clip(((xy - a) * edge).sum(1) / np.maximum((edge**2).sum(1), 1e-12), 0, 1)
-    return float(np.linalg.norm(a + t[:, None] * edge - xy, axis=1).min())
 
 
 def _pixel_point(source: MetricScene | Scan, pixel: tuple[str, int, int], what: str) -> F64:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from realsim.core.meshes import sampled
 from realsim.core.types import F64, U8, FrameSet
 from realsim.report.raster import colorize, png_uri
 
@@ -73,11 +74,7 @@ def _spread(points: F64, triangles: NDArray[Any] | None) -> F64:
     rng = np.random.default_rng(0)
     if triangles is None or not len(triangles):
         return points[rng.permutation(len(points))[:POINTS]]
-    a, b, c = (points[triangles[:, k]] for k in range(3))
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    chosen = rng.choice(len(triangles), POINTS, p=area / area.sum())
-    u, v = np.sort(rng.random((2, POINTS)), axis=0)[..., None]
-    return u * a[chosen] + (v - u) * b[chosen] + (1 - v) * c[chosen]
+    return sampled(points, triangles, POINTS, rng)[0]
 
 
 def _small(image: U8) -> U8:

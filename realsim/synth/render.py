@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.core.geometry import invert_T
+from realsim.core.geometry import invert_T, transform
 from realsim.core.rays import raycasting_scene
 from realsim.core.types import F32, F64, U8, Intrinsics
 from realsim.synth.solids import Solid
@@ -74,13 +74,8 @@ class Renderer:
 
     def visible(self, points: F64, normals: F64, T_sim_camera: F64) -> NDArray[np.bool_]:
         """(M,) which surface points (M, 3) the camera sees: inside the image, facing it, nothing in between."""
-        k = self.intrinsics
-        T = invert_T(T_sim_camera)
-        p = points @ T[:3, :3].T + T[:3, 3]
-        z = np.maximum(p[:, 2], 1e-6)
-        u, v = k.fx * p[:, 0] / z + k.cx, k.fy * p[:, 1] / z + k.cy
         eye = T_sim_camera[:3, 3]
-        ok = (p[:, 2] > 0.2) & (u > -0.5) & (v > -0.5) & (u < k.width - 0.5) & (v < k.height - 0.5)
+        ok = self.intrinsics.pixels(transform(invert_T(T_sim_camera), points), near=0.2)[2]
         ok &= ((eye - points) * normals).sum(1) > 0
         rays = np.hstack([np.broadcast_to(eye, points[ok].shape), points[ok] - eye]).astype(np.float32)
         ok[ok] = ~self._scene.test_occlusions(rays, tnear=0.0, tfar=0.999).numpy()

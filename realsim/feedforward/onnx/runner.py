@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from realsim.core.cache import StageCache
 from realsim.core.errors import CaptureError, ModelError, PoseError
 from realsim.core.files import digest
 from realsim.core.progress import note
 from realsim.core.types import F32, F64, Bool, Frame
 from realsim.feedforward.config import OnnxConfig
 from realsim.feedforward.onnx.adapters import ADAPTERS, Prediction
-from realsim.feedforward.onnx.cache import OutputCache
 from realsim.feedforward.onnx.consistency import agreement, connected
 from realsim.feedforward.onnx.inputs import Inputs
 from realsim.feedforward.onnx.masks import believed
@@ -81,7 +81,7 @@ def predict(
     if spec.kind == "pair" and len(frames) < 2:
         raise CaptureError("a model of pairs needs two views", found="one view only", hint="capture more views")
     inputs = Inputs.of(frames, spec, with_depth=with_depth)
-    runs = _Runs(model, inputs, OutputCache(kept_in, digest(*model.envelope.files)))
+    runs = _Runs(model, inputs, StageCache(kept_in))
     placed, most, shrunk = _placed(runs, len(frames), config)
     return _judged(placed, inputs, model, config, [*model.warnings, *shrunk], most)
 
@@ -89,12 +89,15 @@ def predict(
 class _Runs:
     """The model on views by index; a run that was kept is not repeated."""
 
-    def __init__(self, model: Model, inputs: Inputs, kept: OutputCache) -> None:
+    def __init__(self, model: Model, inputs: Inputs, kept: StageCache) -> None:
         self.model, self.inputs, self.kept = model, inputs, kept
+        self.code = digest(*model.envelope.files)
 
     def __call__(self, views: Sequence[int]) -> Prediction:
         feeds = self.inputs.feeds(views)
-        found = self.kept.get_or_run(feeds, self.model.spec.ports, lambda: self.model.run(feeds))
+        parts = (part for item in sorted(feeds.items()) for part in item)
+        key = digest(self.code, *parts, sorted(self.model.spec.ports.items()))
+        found, _ = self.kept.get_or_make(f"model-{key}", lambda: self.model.run(feeds))
         distinct = tuple(views) if self.model.spec.n_static is None else tuple(dict.fromkeys(views))
         try:
             return ADAPTERS[self.model.spec.kind].unpack(found, self.inputs.call(distinct, len(views)))

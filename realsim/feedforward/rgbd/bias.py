@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 
 from realsim.core.types import F64
 from realsim.feedforward.rgbd.features import Tracks
-from realsim.feedforward.rgbd.refine_adjust import GAIN_PRIOR, KINDS, Step
+from realsim.feedforward.rgbd.refine_adjust import GAIN_PRIOR, Step
 from realsim.feedforward.rgbd.refine_pairs import Surface
 
 SYSTEMATIC = 5e-4
 """Relative error that no regrouping of the residuals shows: focal length, sub-pixel offsets of features, a disparity
 that is off by a constant. Set by hand: with exact poses of three rendered captures the gain was off by up to this from
-the median ratio of true to measured depth (and by up to 0.2 percent from the nominal scale, see residual_vs_depth)."""
+the median ratio of true to measured depth."""
 
 
 @dataclass(frozen=True)
@@ -61,8 +61,6 @@ def judge_gain(step: Step, tracks: Tracks, surface: Surface, n_frames: int, sens
         "found": found,
         "sigma_if_independent": step.gain_sigma,
         "sigma_by_group": {name: e if np.isfinite(e) else None for name, e in errors.items()},
-        "residual_vs_depth": residual_vs_depth(step, tracks),
-        "pull_by_kind": {name: float(np.abs(step.influence[step.kind == k]).sum()) for k, name in enumerate(KINDS)},
     }
     if sigma > sensor_sigma:
         sigma = max(sigma, min(step.gain_sigma, GAIN_PRIOR))
@@ -88,20 +86,3 @@ def image_cells(tracks: Tracks, surface: Surface) -> NDArray[np.int64]:
     xy = np.concatenate([np.repeat(tracks.xy, 3, axis=0), surface.p[:, :2] / np.maximum(surface.p[:, 2:], 1e-6)])
     cell = np.clip(np.floor(xy / 0.12).astype(int), -50, 49) + 50
     return cell[:, 0] * 100 + cell[:, 1]
-
-
-def residual_vs_depth(step: Step, tracks: Tracks) -> dict[str, Any]:
-    """Whether the relative depth error still depends on depth after the gain: then it is not a gain alone.
-
-    A stereo camera whose disparity is off by a constant has an error that grows with depth.
-    """
-    if tracks.count < 100:
-        return {"judged": False}
-    relative = -step.track_residual[:, 2] * tracks.z
-    sigma = step.sigmas.depth * tracks.z
-    keep = np.abs(relative) < 3 * sigma
-    x, y, w = tracks.z[keep] - np.median(tracks.z), relative[keep], sigma[keep] ** -2.0
-    A = np.column_stack([np.ones_like(x), x])
-    cov = np.linalg.inv(A.T @ (A * w[:, None]))
-    slope = float((cov @ A.T @ (w * y))[1])
-    return {"judged": True, "slope_per_m": slope, "sigma_per_m": float(np.sqrt(cov[1, 1])), "span_m": float(np.ptp(x))}

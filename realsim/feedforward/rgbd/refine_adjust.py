@@ -90,15 +90,10 @@ class Step:
     """(rows,) what each residual contributes to the log gain; they sum to the last step of it."""
     owner: np.ndarray
     """(rows,) frame to which each residual belongs."""
-    kind: np.ndarray
-    """(rows,) index into KINDS."""
     track_residual: F64
     """(M, 3) x, y in pixels and depth in 1/m, unweighted."""
     surface_residual: F64
     """(K,) 1/m, unweighted."""
-
-
-KINDS = ("image", "depth", "surface", "prior")
 
 
 def initial_state(T_world_camera: F64, tracks: Tracks, gain: float = 1.0) -> State:
@@ -171,7 +166,6 @@ def solve_step(
         float(np.sqrt(max(u[width - 1], 0))),
         influence,
         np.concatenate([np.repeat(tracks.view, 3), surface.i, np.repeat(np.arange(n), 6)]),
-        np.concatenate([np.tile([0, 0, 1], M), np.full(len(r_s), 2), np.full(6 * n, 3)]),
         r_t1,
         r_s1,
     )

@@ -47,10 +47,7 @@ def share_in_image(views: Sequence[View], T: F64, i: int, others: NDArray[np.int
     share = np.zeros(len(others))
     for k, j in enumerate(others):
         y = (world - T[j, :3, 3]) @ T[j, :3, :3]
-        cam = views[j].camera
-        z = np.maximum(y[:, 2], 1e-6)
-        u, v = y[:, 0] / z * cam.fx + cam.cx, y[:, 1] / z * cam.fy + cam.cy
-        share[k] = ((y[:, 2] > 0.1) & (u >= 0) & (v >= 0) & (u < cam.width) & (v < cam.height)).mean()
+        share[k] = views[j].camera.pixels(y, near=0.1)[2].mean()
     return share
 
 
