@@ -22,6 +22,15 @@ def areas(vertices: NDArray[Any], triangles: NDArray[Any]) -> NDArray[np.float64
     return np.asarray(np.linalg.norm(across(vertices, triangles), axis=1) / 2)
 
 
+def vertex_normals(vertices: NDArray[Any], triangles: NDArray[Any]) -> NDArray[np.float64]:
+    """(V, 3) unit normals, mean of the adjoining triangles weighted by area; +z where a vertex has none."""
+    face, normals = across(vertices, triangles), np.zeros_like(vertices)
+    for k in range(3):
+        np.add.at(normals, triangles[:, k], face)
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.where(length > 1e-20, normals / np.maximum(length, 1e-20), [0.0, 0.0, 1.0])
+
+
 def sampled(
     vertices: NDArray[Any], triangles: NDArray[Any], count: int, rng: np.random.Generator
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

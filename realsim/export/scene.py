@@ -8,7 +8,7 @@ import numpy as np
 
 from realsim import robots
 from realsim.core.files import write_bytes, write_text
-from realsim.core.meshes import compact, ply_bytes, simplify
+from realsim.core.meshes import compact, ply_bytes, simplify, vertex_normals
 from realsim.core.types import F64, AlignedScene, Platform, SceneFiles, TerrainMesh
 from realsim.export.check import check_scene
 from realsim.export.config import SceneConfig
@@ -16,7 +16,7 @@ from realsim.export.contact.choose import fit_contact
 from realsim.export.contact.shape import Solids
 from realsim.export.gltf import glb_bytes
 from realsim.export.mjcf import scene_xml
-from realsim.export.visual import textured_obj, vertex_normals
+from realsim.export.visual import textured_obj
 
 DRAWN_TRIANGLES = 80_000
 """Number of triangles that viewers draw fluently; the exact surface is in mesh.ply and mesh.glb."""

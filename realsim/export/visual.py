@@ -6,20 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.core.errors import ExportError
-from realsim.core.meshes import across
+from realsim.core.meshes import vertex_normals
 
 TILE = 4  # texels a side that each triangle gets
 F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
-
-
-def vertex_normals(vertices: F64, triangles: I32) -> F64:
-    """(V, 3) unit normals, mean of the adjoining triangles weighted by area; +z where a vertex has none."""
-    face, normals = across(vertices, triangles), np.zeros_like(vertices)
-    for k in range(3):
-        np.add.at(normals, triangles[:, k], face)
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.where(length > 1e-20, normals / np.maximum(length, 1e-20), [0.0, 0.0, 1.0])
 
 
 def obj_bytes(vertices: F64, triangles: I32, normals: F64, uv: F64 | None = None) -> bytes:

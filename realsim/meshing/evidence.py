@@ -12,7 +12,7 @@ from realsim.core.ordered import in_order
 from realsim.core.progress import track
 from realsim.core.types import F64, AlignedScene
 from realsim.meshing.fuse import Grid, Points, drop_tails, project, thin
-from realsim.meshing.views import inverse_depth, noise_of, pinhole, sample_view
+from realsim.meshing.views import camera_of, inverse_depth, noise_of, sample_view
 from realsim.meshing.visibility import DepthMap, depth_map, seen_through, votes
 
 MOVED = 0.045
@@ -61,10 +61,11 @@ def gather(aligned: AlignedScene, resolution: float | None, min_views: int) -> E
     def one(i: int) -> tuple[tuple[np.ndarray, np.ndarray], DepthMap, int, bool]:
         view = metric.load(i)
         T_sim_camera = aligned.T_sim_camera(i)
-        seen, depth = sample_view(view, T_sim_camera, aligned.bounds, sigma, phase=i)
+        camera = camera_of(metric.frames[i], view)
+        seen, depth = sample_view(view, camera, T_sim_camera, aligned.bounds, sigma, phase=i)
         return (
             grid.rows_of(seen),
-            depth_map(depth, *pinhole(view), T_sim_camera),
+            depth_map(depth, camera, T_sim_camera),
             len(seen.points),
             view.color is not None,
         )

@@ -13,7 +13,7 @@ from realsim.meshing.evidence import Evidence
 from realsim.meshing.fuse import Points
 from realsim.meshing.surface import Surface
 from realsim.meshing.trim import not_seen_through, supported
-from realsim.meshing.views import pinhole
+from realsim.meshing.views import camera_of
 
 POINT_WEIGHT = 8.0
 """How strongly the surface is held to the points; the paper's default is 4. Points here are already denoised."""
@@ -98,9 +98,8 @@ def fused_distance(aligned: AlignedScene, resolution: float, min_weight: float =
         z = np.where(view.mask & inside, view.points[..., 2], 0).astype(np.float32)
         if not (z > 0).any():
             continue
-        fx, fy, cx, cy = pinhole(view)
         depth = o3d.t.geometry.Image(np.ascontiguousarray(z))
-        K = o3c.Tensor.from_numpy(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]))
+        K = o3c.Tensor.from_numpy(camera_of(metric.frames[i], view).K)
         # Open3D integrates in the world that the extrinsic leads from; ours is the simulation frame.
         E = o3c.Tensor.from_numpy(invert_T(make_T(T_sim_camera[:3, :3], T_sim_camera[:3, 3])))
         touched = grid.compute_unique_block_coordinates(depth, K, E, 1.0, far)

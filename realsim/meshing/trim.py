@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from realsim.core.meshes import vertex_normals
 from realsim.core.types import Bool
 from realsim.meshing.fuse import Points
 from realsim.meshing.surface import Surface
@@ -19,7 +20,7 @@ def supported(surface: Surface, points: Points, resolution: float) -> Bool:
     """(K,) triangles whose corners all have a fused point within reach that faces the same way (within 60 degrees)."""
     from scipy.spatial import cKDTree
 
-    normal = vertex_normals(surface)
+    normal = vertex_normals(surface.vertices, surface.triangles)
     distance, near = cKDTree(points.points).query(surface.vertices, k=4, workers=2)
     reach = np.maximum(REACH * resolution, 0)
     agree = np.einsum("vki,vi->vk", points.normals[near], normal) > 0.5
@@ -38,13 +39,3 @@ def not_seen_through(
     ok = np.ones(len(surface.vertices), bool)
     ok[doubtful] = ~seen_through(*votes(surface.vertices[doubtful], maps, sigma, resolution))
     return np.asarray(ok[surface.triangles].all(1), bool)
-
-
-def vertex_normals(surface: Surface) -> np.ndarray:
-    """(V, 3) unit normals, by area of the triangles around."""
-    total = np.zeros_like(surface.vertices)
-    cross = surface.crosses()
-    for k in range(3):
-        for axis in range(3):
-            total[:, axis] += np.bincount(surface.triangles[:, k], cross[:, axis], minlength=len(total))
-    return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-15)

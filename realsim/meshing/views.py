@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from realsim.core.geometry import transform
-from realsim.core.types import F32, F64, U8, Bool, PointView
+from realsim.core.types import F32, F64, U8, Bool, Frame, Intrinsics, PointView
 
 SPAN = 4
 """Pixels to either side over which a slope is measured."""
@@ -87,10 +87,13 @@ def _slope(d: F32, axis: int, sigma: float, some: tuple[slice, slice]) -> tuple[
     return slope.astype(np.float32), np.minimum(bend_l, bend_r) < 8 * np.float32(sigma)
 
 
-def sample_view(view: PointView, T_sim_camera: F64, bounds: F64, sigma: float, phase: int = 0) -> tuple[Samples, F32]:
+def sample_view(
+    view: PointView, camera: Intrinsics, T_sim_camera: F64, bounds: F64, sigma: float, phase: int = 0
+) -> tuple[Samples, F32]:
     """Samples of one view inside `bounds` (2, 3), and its smoothed depth (H, W) in metres, 0 where unknown.
 
     Args:
+        camera: of the view's grid.
         sigma: noise of inverse depth, 1/m (`noise_of`).
         phase: which of each 2 x 2 pixels becomes a sample. The smoothing has spread every pixel over its neighbours,
             so that one in four carries nearly all; views take turns.
@@ -109,9 +112,8 @@ def sample_view(view: PointView, T_sim_camera: F64, bounds: F64, sigma: float, p
     keep = (soft > 0) & ok_u & ok_v & view.mask[some]
 
     ray = pixels[..., :2] * q[..., None]
-    fx, fy, _, _ = pinhole(view)
     normal = np.empty((*q.shape, 3), np.float32)
-    normal[..., 0], normal[..., 1] = -du * fx, -dv * fy
+    normal[..., 0], normal[..., 1] = -du * camera.fx, -dv * camera.fy
     # Plane n·P = 1 means n·(x, y, 1) = d, hence n_z = d - n_x x - n_y y; the minus turns it toward the camera.
     normal[..., 2] = -soft - normal[..., 0] * ray[..., 0] - normal[..., 1] * ray[..., 1]
     length = np.linalg.norm(normal, axis=-1)
@@ -125,20 +127,14 @@ def sample_view(view: PointView, T_sim_camera: F64, bounds: F64, sigma: float, p
     keep[keep] = inside
     zk, ck = z[some][keep].astype(np.float64), cosine[keep].astype(np.float64)
     along = sigma * zk**2 * ck
-    sideways = LATERAL_PX * zk / max(fx, fy) * np.sqrt(1 - np.minimum(ck, 1) ** 2)
+    sideways = LATERAL_PX * zk / max(camera.fx, camera.fy) * np.sqrt(1 - np.minimum(ck, 1) ** 2)
     weights = confidence[keep] * ck / (along**2 + sideways**2 + 1e-8)
     normals = normal[keep] / length[keep, None]
     colors = None if view.color is None else view.color[some][keep]
     return Samples(points[inside], normals.astype(np.float64) @ T_sim_camera[:3, :3].T, weights, colors), z
 
 
-def pinhole(view: PointView) -> tuple[float, float, float, float]:
-    """fx, fy, cx, cy in pixels of the view's grid, fitted to the rays of its points (no camera model is assumed)."""
-    v, u = np.nonzero(view.mask & (view.points[..., 2] > 0))
-    if len(u) < 2:
-        return 1.0, 1.0, 0.0, 0.0
-    step = max(1, len(u) // 20_000)
-    P = view.points[v[::step], u[::step]].astype(np.float64)
-    fx, cx = np.polyfit(P[:, 0] / P[:, 2], u[::step], 1)
-    fy, cy = np.polyfit(P[:, 1] / P[:, 2], v[::step], 1)
-    return float(fx), float(fy), float(cx), float(cy)
+def camera_of(frame: Frame, view: PointView) -> Intrinsics:
+    """The camera of a view's grid, which is the frame's depth image or another sampling of it."""
+    height, width = view.mask.shape
+    return frame.intrinsics.resized(width, height)

@@ -29,8 +29,8 @@ class DepthMap:
     """(4, 4)."""
 
 
-def depth_map(depth: F32, fx: float, fy: float, cx: float, cy: float, T_sim_camera: F64) -> DepthMap:
-    """Keep a depth image (H, W) in metres, 0 where unknown; intrinsics of the full size."""
+def depth_map(depth: F32, camera: Intrinsics, T_sim_camera: F64) -> DepthMap:
+    """Keep a depth image (H, W) in metres, 0 where unknown, of a camera of the full size."""
     import cv2
 
     h, w = depth.shape[0] // 2 * 2, depth.shape[1] // 2 * 2
@@ -48,8 +48,9 @@ def depth_map(depth: F32, fx: float, fy: float, cx: float, cy: float, T_sim_came
     def pack(z: NDArray[Any]) -> NDArray[np.uint16]:
         return np.where(known, np.clip(z / UNIT, 0, 65535), 0).astype(np.uint16)
 
-    camera = Intrinsics(w // 2, h // 2, fx / 2, fy / 2, (cx - 0.5) / 2, (cy - 0.5) / 2)
-    return DepthMap(pack(near), pack(far), camera, invert_T(T_sim_camera))
+    k = camera
+    half = Intrinsics(w // 2, h // 2, k.fx / 2, k.fy / 2, (k.cx - 0.5) / 2, (k.cy - 0.5) / 2)
+    return DepthMap(pack(near), pack(far), half, invert_T(T_sim_camera))
 
 
 def votes(

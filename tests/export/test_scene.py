@@ -19,14 +19,14 @@ from hypothesis.extra.numpy import arrays
 
 from realsim.core.errors import ExportError, RealsimError, UnknownNameError
 from realsim.core.files import output_folder
-from realsim.core.meshes import compact
+from realsim.core.meshes import compact, vertex_normals
 from realsim.core.types import TerrainMesh
 from realsim.export import CONTACT, write_scene
 from realsim.export.config import SceneConfig
 from realsim.export.contact.hfield import hfield
 from realsim.export.contact.shape import Shape
 from realsim.export.heights import HeightGrid
-from realsim.export.visual import bake, vertex_normals
+from realsim.export.visual import bake
 
 from .terrain import GROUND, box, platform, scene, terrain_mesh, two_platforms
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from realsim.core.meshes import vertex_normals
 from realsim.export.config import SceneConfig
 from realsim.export.contact.base import Asset, ContactModel, Geom
 from realsim.export.contact.shape import Shape
 from realsim.export.contact.solids import island_solid
-from realsim.export.visual import obj_bytes, vertex_normals
+from realsim.export.visual import obj_bytes
 
 
 def sdf(shape: Shape, config: SceneConfig) -> ContactModel:

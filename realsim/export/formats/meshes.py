@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from realsim.core.files import write_bytes
-from realsim.core.meshes import ply_bytes
+from realsim.core.meshes import ply_bytes, vertex_normals
 from realsim.export.formats.scene import SceneOnDisk
 from realsim.export.gltf import glb_bytes
-from realsim.export.visual import bake, textured_obj, vertex_normals
+from realsim.export.visual import bake, textured_obj
 
 
 def glb(scene: SceneOnDisk, folder: Path) -> list[Path]:

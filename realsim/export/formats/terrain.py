@@ -10,9 +10,10 @@ import numpy as np
 
 from realsim.core.errors import ExportError, MissingExtraError
 from realsim.core.files import to_json, write_bytes, write_text
+from realsim.core.meshes import vertex_normals
 from realsim.export.formats.scene import SceneOnDisk
 from realsim.export.formats.usd import terrain_usda
-from realsim.export.visual import obj_bytes, vertex_normals
+from realsim.export.visual import obj_bytes
 
 BORDER = 5.0  # metres of floor around the terrain
 THICKNESS = 0.2  # metres of floor
