@@ -15,7 +15,7 @@ from realsim.align.rim import refined
 from realsim.align.roles import Roles, as_asked, by_rule, simulation_frame
 from realsim.align.segment import Label, segmented
 from realsim.core.geometry import invert_T, make_T, transform
-from realsim.core.types import F64, AlignedScene, Gravity, MetricScene, Platform, Scan
+from realsim.core.types import F64, AlignedScene, MetricScene, Platform, Scan
 
 
 def align(source: MetricScene | Scan, config: AlignConfig) -> AlignedScene:
@@ -30,7 +30,11 @@ def align(source: MetricScene | Scan, config: AlignConfig) -> AlignedScene:
     Raises:
         AlignError: no ground; two grounds that cannot be told apart; no platform where one was asked for.
     """
-    cloud, T_cloud_world = _cloud(source, config.seed)
+    if isinstance(source, Scan):
+        cloud, T_cloud_world = from_scan(source, config.seed), np.eye(4)
+    else:
+        T_cloud_world = invert_T(source.T_world_camera[0])
+        cloud = from_views(replace(source, T_world_camera=T_cloud_world @ source.T_world_camera))
     up = None if source.up_world is None else T_cloud_world[:3, :3] @ source.up_world
     ground = find_ground(cloud, config.seed, up)
     T_level_cloud = levelling(ground, cloud)
@@ -73,9 +77,12 @@ def align(source: MetricScene | Scan, config: AlignConfig) -> AlignedScene:
         cropped = [*source.statistics.get("left_out", ()), *cropped]
 
     T_sim_world = T_sim_level @ T_level_world
+    # n·x + d = 0 in the cloud's frame, expressed in the capture's world.
+    normal = ground.gravity.normal_world
+    offset = ground.gravity.offset_world + float(normal @ T_cloud_world[:3, 3])
     return AlignedScene(
         T_sim_world=T_sim_world,
-        gravity=_gravity_in_world(ground.gravity, T_cloud_world),
+        gravity=replace(ground.gravity, normal_world=T_cloud_world[:3, :3].T @ normal, offset_world=offset),
         ground_z=float(T_sim_level[2, 3]),
         platforms=platforms,
         bounds=bounds,
@@ -111,14 +118,6 @@ def levelling(ground: Ground, cloud: Cloud) -> F64:
     return make_T(R, -R @ foot)
 
 
-def _cloud(source: MetricScene | Scan, seed: int) -> tuple[Cloud, F64]:
-    """The fused cloud in its own frame (the first camera's; a scan's own world) and T_cloud_world."""
-    if isinstance(source, Scan):
-        return from_scan(source, seed), np.eye(4)
-    T_cloud_world = invert_T(source.T_world_camera[0])
-    return from_views(replace(source, T_world_camera=T_cloud_world @ source.T_world_camera)), T_cloud_world
-
-
 def _kept(platforms: tuple[Platform, ...], bounds: F64) -> tuple[tuple[Platform, ...], list[str]]:
     """The platforms that stand within the bounds as a whole, and in words the others: nothing can stand on those."""
     low, high = bounds[0, :2], bounds[1, :2]
@@ -151,10 +150,3 @@ def _assumed(roles: Roles, source: MetricScene | Scan, stood: bool) -> list[str]
     if not stood:
         return ["the scan does not say where its sensor stood: the platform nearer its origin is the start"]
     return []
-
-
-def _gravity_in_world(gravity: Gravity, T_cloud_world: F64) -> Gravity:
-    """n·x + d = 0 in the cloud's frame, expressed in the capture world."""
-    normal = T_cloud_world[:3, :3].T @ gravity.normal_world
-    offset = gravity.offset_world + float(gravity.normal_world @ T_cloud_world[:3, 3])
-    return replace(gravity, normal_world=normal, offset_world=offset)

@@ -59,9 +59,12 @@ def put_right(capture: FrameSet) -> FrameSet:
     found = misalignment(capture.frames)
     if found is None:
         return capture
-    frames = tuple(_put_right(f, found) for f in capture.frames)
-    color, depth = frames[0].color_intrinsics, frames[0].intrinsics
-    assert color is not None
+    frames = []
+    for f in capture.frames:
+        c = f.color_intrinsics or f.intrinsics
+        color = Intrinsics(c.width, c.height, c.fx / found.zoom, c.fy / found.zoom, c.cx, c.cy)
+        frames.append(replace(f, color_intrinsics=color, color_shift=found.shift))
+    depth = frames[0].intrinsics
     ratio = max(found.zoom, 1 / found.zoom)
     what = f"the depth is not aligned to the colour: the two cameras' fields of view differ by {ratio:.1f}"
     narrow = min(_field_deg(color), _field_deg(depth))
@@ -79,7 +82,7 @@ def put_right(capture: FrameSet) -> FrameSet:
         f"(focal length {color.fx:.0f} pixels, {1e3 * found.shift[0]:.0f} mm to the side): align depth to colour when "
         "recording (rs.align), or give both cameras"
     )
-    return replace(capture, frames=frames, warnings=(*capture.warnings, warning))
+    return replace(capture, frames=tuple(frames), warnings=(*capture.warnings, warning))
 
 
 def misalignment(frames: Sequence[Frame]) -> Misalignment | None:
@@ -171,12 +174,6 @@ def _nearness(color: U8) -> F32:
     edges = cv2.Canny(gray, 0.5 * (high := float(np.percentile(slope, 94))), high, L2gradient=True)
     away = cv2.distanceTransform(255 - edges, cv2.DIST_L2, 3)
     return np.exp(-away / (NEAR * color.shape[1])).astype(np.float32)
-
-
-def _put_right(frame: Frame, found: Misalignment) -> Frame:
-    c = frame.color_intrinsics or frame.intrinsics
-    color = Intrinsics(c.width, c.height, c.fx / found.zoom, c.fy / found.zoom, c.cx, c.cy)
-    return replace(frame, color_intrinsics=color, color_shift=found.shift)
 
 
 def _field_deg(camera: Intrinsics) -> float:

@@ -62,10 +62,6 @@ class PcdHeader:
         return self.width * self.height
 
     @property
-    def point_bytes(self) -> int:
-        return sum(np.dtype(f.dtype).itemsize * f.count for f in self.fields)
-
-    @property
     def color_field(self) -> str | None:
         """`rgb` or `rgba` where the points have colour as PCL packs it: in one number."""
         return next((f.name for f in self.fields if f.name in ("rgb", "rgba") and f.count == 1), None)
@@ -115,7 +111,9 @@ def read_columns(path: Path, header: PcdHeader) -> dict[str, NDArray]:
         if header.data == "ascii":
             return _ascii(data, header)
         if header.data == "binary":
-            return _rows(data, header)
+            record = np.dtype([(f"{i}", f.dtype, (f.count,)) for i, f in enumerate(header.fields)])
+            table = np.frombuffer(data, record)  # one point after another
+            return {f.name: _squeeze(table[f"{i}"]) for i, f in enumerate(header.fields) if f.name != "_"}
         packed, unpacked = struct.unpack("<II", data[:8])
         return _blocks(decompress(data[8 : 8 + packed], unpacked), header)
     except (ValueError, OverflowError) as error:
@@ -149,13 +147,6 @@ def unpack_rgb(packed: NDArray) -> U8:
     """(M, 3) RGB of the 32 bits 0x00RRGGBB, which PCL stores as an integer or disguised as a float."""
     bits = packed.astype(np.float32).view(np.uint32) if packed.dtype.kind == "f" else packed.astype(np.uint32)
     return np.stack([bits >> 16 & 255, bits >> 8 & 255, bits & 255], -1).astype(np.uint8)
-
-
-def _rows(data: bytes, header: PcdHeader) -> dict[str, NDArray]:
-    """`binary`: one point after another."""
-    record = np.dtype([(f"{i}", f.dtype, (f.count,)) for i, f in enumerate(header.fields)])
-    table = np.frombuffer(data, record)
-    return {f.name: _squeeze(table[f"{i}"]) for i, f in enumerate(header.fields) if f.name != "_"}
 
 
 def _blocks(data: bytes, header: PcdHeader) -> dict[str, NDArray]:
@@ -218,7 +209,7 @@ def _check(header: PcdHeader, path: Path) -> None:
     if header.data not in ENCODINGS:
         raise CaptureError("unknown PCD encoding", file=path, expected=", ".join(ENCODINGS), found=header.data)
     rest = path.stat().st_size - header.offset
-    expected = header.points * header.point_bytes
+    expected = header.points * sum(np.dtype(f.dtype).itemsize * f.count for f in header.fields)
     if header.data == "binary" and rest != expected:
         raise CaptureError(
             "corrupt or truncated point cloud",

@@ -72,7 +72,10 @@ def _reconstruct(frames: FrameSet, folder: Path, seed: int) -> list[Any]:
         color = frame.color()
         assert color is not None
         cv2.imwrite(str(images / _name(k)), cv2.cvtColor(color, cv2.COLOR_RGB2BGR))
-    for camera, names in _cameras(frames).items():
+    by_camera: dict[Intrinsics, list[str]] = {}
+    for k, frame in enumerate(frames.frames):
+        by_camera.setdefault(frame.color_intrinsics or frame.intrinsics, []).append(_name(k))
+    for camera, names in by_camera.items():
         # COLMAP puts the centre of the first pixel at (0.5, 0.5).
         text = ",".join(f"{x:.9g}" for x in (camera.fx, camera.fy, camera.cx + 0.5, camera.cy + 0.5))
         reader = pycolmap.ImageReaderOptions(camera_model="PINHOLE", camera_params=text)
@@ -87,13 +90,6 @@ def _reconstruct(frames: FrameSet, folder: Path, seed: int) -> list[Any]:
     )
     options.mapper.init_min_tri_angle = 4.0  # hand-held neighbours are closer together than COLMAP's tourists
     return list(pycolmap.incremental_mapping(database, images, out, options).values())
-
-
-def _cameras(frames: FrameSet) -> dict[Intrinsics, list[str]]:
-    out: dict[Intrinsics, list[str]] = {}
-    for k, frame in enumerate(frames.frames):
-        out.setdefault(frame.color_intrinsics or frame.intrinsics, []).append(_name(k))
-    return out
 
 
 def _name(k: int) -> str:

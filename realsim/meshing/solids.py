@@ -74,17 +74,12 @@ def inferred_tops(seen: Surface, aligned: AlignedScene, cell: float) -> Surface:
             corners = np.column_stack([p.outline, np.full(len(p.outline), p.centroid[2])])
             parts = np.stack([np.stack([corners[0], corners[k], corners[k + 1]]) for k in range(1, len(corners) - 1)])
             while np.linalg.norm(parts - np.roll(parts, 1, 1), axis=2).max() > cell:
-                parts = _quartered(parts)
+                half = (parts + np.roll(parts, -1, 1)) / 2  # each triangle in quarters
+                inner = [np.stack([parts[:, k], half[:, k], half[:, k - 1]], 1) for k in range(3)]
+                parts = np.concatenate([*inner, half])
             fine = Surface(parts.reshape(-1, 3), np.arange(3 * len(parts), dtype=np.int32).reshape(-1, 3))
             tops = tops.joined(fine.where(seen.distance(fine.centres()) > 0.5 * cell))
     return tidy(weld(tops, 1e-5)) if len(tops.triangles) else tops
-
-
-def _quartered(parts: F64) -> F64:
-    """(4 K, 3, 3) the quarters of triangles (K, 3, 3)."""
-    half = (parts + np.roll(parts, -1, 1)) / 2
-    inner = [np.stack([parts[:, k], half[:, k], half[:, k - 1]], 1) for k in range(3)]
-    return np.concatenate([*inner, half])
 
 
 class Columns:

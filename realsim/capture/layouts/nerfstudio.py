@@ -16,7 +16,6 @@ import numpy as np
 
 from realsim.capture.arkit import AXES_NOTE, from_opengl
 from realsim.capture.assemble import (
-    DepthUnit,
     View,
     capture,
     depth_unit,
@@ -67,7 +66,9 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
     color, depth = [p.color for p in pairs if p.color], [p.depth for p in pairs if p.depth]
     require_both(color, depth, path, "file_path and depth_file_path of images")
     color_size, depth_size = sizes_of(color, depth)
-    unit = _depth_unit(data, config, path)
+    key = next((key for key in UNIT_KEYS if key in data), None)
+    step = 0.001 if key is None else _positive(data[key], key, path)
+    unit = depth_unit(step, "nerfstudio's convention" if key is None else f"{key} in {path.name}", config, arrays=True)
     scale = _positive(data.get("applied_scale", 1.0), "applied_scale", path)
     warnings: list[str] = []
 
@@ -135,12 +136,6 @@ def _pose(entry: Mapping[str, Any], scale: float, path: Path) -> F64:
     T = matrix_of(entry.get("transform_matrix"), "transform_matrix", path)
     T[:3, 3] /= scale
     return from_opengl(T)
-
-
-def _depth_unit(data: Mapping[str, Any], config: CaptureConfig, path: Path) -> DepthUnit:
-    key = next((key for key in UNIT_KEYS if key in data), None)
-    unit = 0.001 if key is None else _positive(data[key], key, path)
-    return depth_unit(unit, "nerfstudio's convention" if key is None else f"{key} in {path.name}", config, arrays=True)
 
 
 def _positive(value: Any, what: str, path: Path) -> float:

@@ -6,9 +6,7 @@ Format: https://github.com/PolyCam/polyform (README, "Polycam's data format"). D
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from realsim.capture.arkit import AXES_NOTE, GRIDS_NOTE, UP, WORLD_NOTE, from_opengl
 from realsim.capture.assemble import View, capture, depth_unit, frames_with, on_two_grids, size_of_depth
@@ -20,7 +18,7 @@ from realsim.capture.listing import Pair, lacking, list_files, pair_by_stem
 from realsim.capture.poses import matrix_of
 from realsim.core.errors import CaptureError, PoseError
 from realsim.core.files import read_json
-from realsim.core.types import F64, FrameSet
+from realsim.core.types import FrameSet
 
 FOLDERS = {"corrected": ("corrected_images", "corrected_cameras"), "as recorded": ("images", "cameras")}
 """In the order of preference."""
@@ -81,7 +79,14 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
         if camera.width is None or camera.height is None:
             raise CaptureError("the camera file lacks the image size", file=source, expected="width and height")
         of_depth, of_color = on_two_grids(camera.sized((camera.width, camera.height)), depth_size)
-        pose = None if config.ignore_poses else from_opengl(_matrix(data, source))
+        pose = None
+        if not config.ignore_poses:
+            if missing := [key for row in MATRIX_KEYS for key in row if key not in data]:
+                raise PoseError(
+                    "no camera pose", file=source, expected="numbers t_00 to t_23", found=f"no {missing[0]}"
+                )
+            rows = [[data[key] for key in row] for row in MATRIX_KEYS]
+            pose = from_opengl(matrix_of(rows, "t_00 to t_23", source))
         confidence = ConfidenceImage(sure[pair.name], 255) if pair.name in sure else None
         # File names are microseconds.
         time = int(pair.name) * 1e-6 if pair.name.isdigit() else None
@@ -96,12 +101,6 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
     assumptions = [said, unit.note, GRIDS_NOTE, *unknown, "frames are named by their time in microseconds"]
     assumptions += [] if config.ignore_poses else [AXES_NOTE, WORLD_NOTE]
     return capture(folder, LAYOUT.name, frames, dropped, assumptions, up_world=None if config.ignore_poses else UP)
-
-
-def _matrix(data: Mapping[str, Any], source: Path) -> F64:
-    if missing := [key for row in MATRIX_KEYS for key in row if key not in data]:
-        raise PoseError("no camera pose", file=source, expected="numbers t_00 to t_23", found=f"no {missing[0]}")
-    return matrix_of([[data[key] for key in row] for row in MATRIX_KEYS], "t_00 to t_23", source)
 
 
 LAYOUT = Layout(

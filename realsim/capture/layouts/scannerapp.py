@@ -7,7 +7,6 @@ Every frame has a JSON with `cameraPoseARFrame` (4x4, row by row, camera to worl
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 from realsim.capture.arkit import AXES_NOTE, BEST_CONFIDENCE, GRIDS_NOTE, UP, WORLD_NOTE, from_opengl
 from realsim.capture.assemble import View, capture, depth_unit, frames_with, on_two_grids, require_both, sizes_of
@@ -59,7 +58,9 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
         of_depth, of_color = on_two_grids(camera_from_mapping(data, source).sized(color_size), depth_size)
         pose = None if config.ignore_poses else from_opengl(matrix_of(data.get(POSE), POSE, source))
         confidence = ConfidenceImage(sure[pair.name], BEST_CONFIDENCE) if pair.name in sure else None
-        return View(of_depth, of_color, pose, _time(data), confidence)
+        time = data.get("time")
+        known = isinstance(time, (int, float)) and not isinstance(time, bool)
+        return View(of_depth, of_color, pose, float(time) if known else None, confidence)
 
     frames, dropped = frames_with(pairs, unit, view_of)
     colorless = len(depth.keys() - color.keys())
@@ -68,11 +69,6 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
         assumptions.append(f"{colorless} depth images have no colour image (the app keeps a few) and are not used")
     assumptions += [] if config.ignore_poses else [AXES_NOTE, WORLD_NOTE]
     return capture(folder, LAYOUT.name, frames, dropped, assumptions, up_world=None if config.ignore_poses else UP)
-
-
-def _time(data: dict[str, Any]) -> float | None:
-    time = data.get("time")
-    return float(time) if isinstance(time, (int, float)) and not isinstance(time, bool) else None
 
 
 LAYOUT = Layout(

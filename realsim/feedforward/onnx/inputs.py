@@ -68,16 +68,13 @@ class Inputs:
 
     def feeds(self, views: Sequence[int]) -> dict[str, NDArray]:
         """Arrays by input name for a run of these views, in this order."""
-        images = np.stack([self._image(i) for i in views])
+        colors = [self.frames[i].read_color for i in views]
+        shown = ((color(), self.grids[i]) for color, i in zip(colors, views, strict=True) if color is not None)
+        images = np.stack([to_tensor(picture, grid, self.spec.norm) for picture, grid in shown])
         out = {self.spec.image.name: images[None] if self.spec.batched else images}
         for port in self.spec.extra_inputs:
             out[port.name] = self._extra(port, views)
         return out
-
-    def _image(self, i: int) -> NDArray:
-        color = self.frames[i].color()
-        assert color is not None
-        return to_tensor(color, self.grids[i], self.spec.norm)
 
     def _extra(self, port: Port, views: Sequence[int]) -> NDArray:
         if port.name == "num_tokens":

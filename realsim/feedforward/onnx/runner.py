@@ -152,7 +152,14 @@ def _judged(
             found="; ".join(dict.fromkeys(lost.values())),
             hint="NaN from a half-precision export: try it in float32; all masked: are norm and conf right?",
         )  # fmt: skip
-    _refuse_wrong_focal_length(figures.get("focal_ratio", 1.0), model)
+    ratio = figures.get("focal_ratio", 1.0)
+    if ratio > FOCAL_WRONG or ratio < 1 / FOCAL_WRONG:  # NaN: no pixel says anything about it
+        raise ModelError(
+            "the model's points do not fit the camera", file=model.path,
+            expected=f"a focal length within a factor of {FOCAL_WRONG:g} of the capture's",
+            found=f"{ratio:.2g} times the capture's",
+            hint="are `norm`, `fit` and `kind` right? See: realsim model inspect. Is the capture's calibration right?",
+        )  # fmt: skip
     alive = np.array([i for i in range(n) if i not in lost])
     share: F64 = np.zeros((n, n))
     if n > 1 and model.spec.kind != "mono":
@@ -223,16 +230,6 @@ def _unusable(placed: Placed, keep: Bool, *, posed: bool) -> dict[int, str]:
         elif keep[i].mean() < EMPTY:
             out[i] = f"the model is sure of only {100 * float(keep[i].mean()):.1f} percent of the pixels"
     return out
-
-
-def _refuse_wrong_focal_length(ratio: float, model: Model) -> None:
-    if ratio > FOCAL_WRONG or ratio < 1 / FOCAL_WRONG:  # NaN: no pixel says anything about it
-        raise ModelError(
-            "the model's points do not fit the camera", file=model.path,
-            expected=f"a focal length within a factor of {FOCAL_WRONG:g} of the capture's",
-            found=f"{ratio:.2g} times the capture's",
-            hint="are `norm`, `fit` and `kind` right? See: realsim model inspect. Is the capture's calibration right?",
-        )  # fmt: skip
 
 
 def _notable(figures: dict[str, float]) -> list[str]:

@@ -149,30 +149,21 @@ def connect(views: Sequence[View], seed: int, learned: bool = True) -> Net:
                 f"{len(matched.a)} features match {{}}, but at that motion {1 - fit.agreement:.0%} of the depth is "
                 "impossible: something was moved between the frames?"
             )
-    if learned:
-        _connect_by_learning(net, seed)
-    _connect_by_shape(net, seed)
-    return net
-
-
-def _connect_by_learning(net: Net, seed: int) -> None:
-    """Add pairs of the learned matcher, and the features that it found to the views."""
-    found = join_pieces(net.views, net.edges, seed)
-    net.views[:] = found.views
-    net.matches.extend(found.matches)
-    net.edges.extend(map(make_edge, found.matches))
-    net.learned.update((m.i, m.j) for m in found.matches)
-    net.said.extend(found.said())
-    if found.asked:
-        net.told.update(keptasked=found.asked, keptpairs=len(found.matches))
-
-
-def _connect_by_shape(net: Net, seed: int) -> None:
-    """Add pairs by shape that a third frame confirms."""
+    if learned:  # pairs of the learned matcher, and the features that it found
+        found_more = join_pieces(net.views, net.edges, seed)
+        net.views[:] = found_more.views
+        net.matches.extend(found_more.matches)
+        net.edges.extend(map(make_edge, found_more.matches))
+        net.learned.update((m.i, m.j) for m in found_more.matches)
+        net.said.extend(found_more.said())
+        if found_more.asked:
+            net.told.update(learned_asked=found_more.asked, learned_pairs=len(found_more.matches))
+    # Pairs by shape that a third frame confirms.
     believed, refused = link_by_shape(net.views, net.edges, seed)
     net.edges.extend(believed)
     for e in refused:
         net.doubts.setdefault((e.i, e.j), "by shape alone it fits {}, which no third frame confirms")
+    return net
 
 
 def close_loops(views: Sequence[View], T: F64, edges: list[Edge]) -> tuple[F64, list[Edge]]:

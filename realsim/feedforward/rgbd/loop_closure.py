@@ -178,20 +178,18 @@ def _borne_out(evidence: Evidence, found: list[Match], T: F64) -> list[Match]:
     from scipy.sparse.csgraph import dijkstra
 
     i, j = np.array([(m.i, m.j) for m in found], int).reshape(-1, 2).T
-    off = np.array([_misplaced(evidence, m, T) for m in found])
+    # Median distance of the matched points under poses T from where the match has them, metres.
+    off = np.zeros(len(found))
+    for k, m in enumerate(found):
+        p = evidence.views[m.i].points[m.a]
+        moved = transform(invert_T(T[m.j]) @ T[m.i], p) - transform(invert_T(m.T_i_j), p)
+        off[k] = np.median(np.linalg.norm(moved, axis=1))
     sure = off < SLACK_M
     way = dijkstra(coo_matrix((off[sure] + 1e-6, (i[sure], j[sure])), (len(T), len(T))).tocsr(), directed=False)
     false = off > SLACK_M + SURER * way[i, j]
     if false.sum() >= LINKS and sure.sum() < HONEST * (sure | false).sum():
         false = ~sure
     return [m for m, out in zip(found, false, strict=True) if not out]
-
-
-def _misplaced(evidence: Evidence, m: Match, T: F64) -> float:
-    """Median distance of the matched points under poses T from where the match has them, metres."""
-    p = evidence.views[m.i].points[m.a]
-    moved = transform(invert_T(T[m.j]) @ T[m.i], p) - transform(invert_T(m.T_i_j), p)
-    return float(np.median(np.linalg.norm(moved, axis=1)))
 
 
 def is_in_order(n: int, edges: Sequence[Edge]) -> bool:
@@ -250,16 +248,11 @@ def _chains(n: int, edges: Sequence[Edge], steady: bool) -> tuple[Chains, list[E
         inside = [e for e in here if chains.piece[e.i] == chains.piece[e.j]]
         kept += [e for e in inside if _drifted(chains, e)]
         if step == 1:
-            kept += _steady(here) if steady else here
+            length = np.array([np.linalg.norm(e.T_i_j[:3, 3]) for e in here])
+            limit = LEAP * np.quantile(length, 0.9) + SLACK_M if steady and len(here) else np.inf
+            kept += [e for e, m in zip(here, length, strict=True) if m < limit]
         chains = _chained(n, kept)
     return chains, kept
-
-
-def _steady(steps: Sequence[Edge]) -> list[Edge]:
-    """Links to the next frame that are no leaps."""
-    length = np.array([np.linalg.norm(e.T_i_j[:3, 3]) for e in steps])
-    limit = LEAP * np.quantile(length, 0.9) + SLACK_M if len(steps) else 0
-    return [e for e, m in zip(steps, length, strict=True) if m < limit]
 
 
 def _proven(chains: Chains, edges: Sequence[Edge], pace: float, ordered: bool) -> bool:
