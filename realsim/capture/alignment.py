@@ -64,7 +64,7 @@ def put_right(capture: FrameSet) -> FrameSet:
         c = f.color_intrinsics or f.intrinsics
         color = Intrinsics(c.width, c.height, c.fx / found.zoom, c.fy / found.zoom, c.cx, c.cy)
         frames.append(replace(f, color_intrinsics=color, color_shift=found.shift))
-    depth = frames[0].intrinsics
+    depth, color = frames[0].intrinsics, frames[0].color_intrinsics or color
     ratio = max(found.zoom, 1 / found.zoom)
     what = f"the depth is not aligned to the colour: the two cameras' fields of view differ by {ratio:.1f}"
     narrow = min(_field_deg(color), _field_deg(depth))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -24,8 +23,9 @@ def heightmap(scene: SceneOnDisk, folder: Path) -> list[Path]:
     lowest, highest = float(np.nanmin(grid.z)), float(np.nanmax(grid.z))
     step = max((highest - lowest) / (UNSEEN - 1), 1e-9)
     image = np.where(np.isnan(grid.z), UNSEEN, np.rint((np.nan_to_num(grid.z) - lowest) / step)).astype(np.uint16)
-    arrays: dict[str, np.ndarray] = {"z": grid.z.astype(np.float32), "lower": grid.lower, "spacing": grid.spacing}
-    write_bytes(folder / "heightmap.npz", npz_bytes(arrays))
+    arrays = io.BytesIO()
+    np.savez_compressed(arrays, z=grid.z.astype(np.float32), lower=grid.lower, spacing=grid.spacing)
+    write_bytes(folder / "heightmap.npz", arrays.getvalue())
     write_bytes(folder / "heightmap.png", _png(image[::-1]))
     metadata = {
         "metres": "z = offset + step * value",
@@ -39,17 +39,6 @@ def heightmap(scene: SceneOnDisk, folder: Path) -> list[Path]:
     }
     write_text(folder / "heightmap.json", to_json(metadata))
     return [folder / f"heightmap.{end}" for end in ("npz", "png", "json")]
-
-
-def npz_bytes(arrays: dict[str, np.ndarray]) -> bytes:
-    """The bytes of numpy.savez without a time stamp."""
-    out = io.BytesIO()
-    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, array in arrays.items():
-            buffer = io.BytesIO()
-            np.lib.format.write_array(buffer, np.ascontiguousarray(array), allow_pickle=False)
-            archive.writestr(zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0)), buffer.getvalue())
-    return out.getvalue()
 
 
 def _png(image: np.ndarray) -> bytes:
