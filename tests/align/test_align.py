@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
+from importlib.metadata import EntryPoint
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -11,6 +14,7 @@ from realsim.align import align
 from realsim.align.config import AlignConfig
 from realsim.core.errors import AlignError, UnknownNameError
 from realsim.core.geometry import exp_so3, invert_T, make_T, transform
+from realsim.core.registry import Registry
 from realsim.core.types import Scan
 
 CONFIG = AlignConfig()
@@ -209,21 +213,21 @@ def test_an_unknown_segmenter_is_named(render, course, walk):
 def test_another_segmenter_can_be_installed(render, course, walk, monkeypatch):
     """An entry point is found by its name, and must return a label a point."""
 
-    class Point:
-        name = "theirs"
-
-        def __init__(self, function):
-            self.load = lambda: function
+    package = ModuleType("their_package")
+    point = EntryPoint("theirs", "their_package:segment", "realsim.segmenters")
+    monkeypatch.setitem(sys.modules, package.__name__, package)
+    monkeypatch.setattr("realsim.core.registry.entry_points", lambda group: [point])
+    monkeypatch.setattr("realsim.align.segment.SEGMENTERS", Registry("segmenter", {}, "realsim.segmenters"))
 
     def nothing_but_ground(cloud):
         return np.where(np.abs(cloud.points[:, 2]) < 0.03, 1, 0)
 
     scene = render(course, walk(6))
-    monkeypatch.setattr("realsim.align.segment.entry_points", lambda group: [Point(nothing_but_ground)])
+    package.segment = nothing_but_ground
     aligned = align(scene, AlignConfig(segmenter="theirs"))
     assert aligned.platforms == ()
     assert aligned.statistics["labels"]["obstacle"] == 0
-    monkeypatch.setattr("realsim.align.segment.entry_points", lambda group: [Point(lambda cloud: np.full(3, 7))])
+    package.segment = lambda cloud: np.full(3, 7)
     with pytest.raises(AlignError, match="contract"):
         align(scene, AlignConfig(segmenter="theirs"))
 
