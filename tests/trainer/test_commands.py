@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,9 +15,11 @@ from realsim.cli.command_line import main
 from realsim.cli.help import usage
 from realsim.cli.table import commands
 from realsim.core.errors import RealsimError
+from trainer import robots
 from trainer.commands import COMMANDS
 from trainer.commands.common import find_terrain
 from trainer.commands.task_file import load_task
+from trainer.errors import TrainerError
 from trainer.ppo import checkpoint, export
 from trainer.tasks.parkour import ParkourConfig
 from trainer.tasks.parkour.config import ResetConfig, RewardConfig
@@ -73,10 +76,18 @@ def test_smoke_fine_tune(folder: Path, capsys: pytest.CaptureFixture[str]) -> No
     assert json.loads(capsys.readouterr().out)["replay"] == str(out / "trial.glb")
     assert "output file exists" in failure(capsys, *replay, "--out", str(out / "trial.glb"))["message"]
     evaluation = str(out / "evaluation.json")
-    arguments = ["evaluate", "boxes:0.2:1", "--policy", str(out / "policy.pt"), "--trials", "3", "--device", "cpu"]
-    assert main([*arguments, "--task-file", str(folder / "task.json"), "--out", evaluation]) == 0
-    assert "of 3" in capsys.readouterr().out
-    assert json.loads(Path(evaluation).read_text())["terrains"][0]["trials"] == 3
+    ends = []
+    for kind in ("pt", "onnx"):  # what the robot runs is judged alike
+        arguments = ["evaluate", "boxes:0.2:1", "--policy", str(out / f"policy.{kind}"), "--trials", "3"]
+        arguments += ["--device", "cpu", "--task-file", str(folder / "task.json"), "--out", evaluation, "--overwrite"]
+        assert main(arguments) == 0
+        assert "of 3" in capsys.readouterr().out
+        ends.append(json.loads(Path(evaluation).read_text())["terrains"])
+    assert ends[0][0]["trials"] == 3
+    assert [f["cause"] for f in ends[0][0]["failures"]] == [f["cause"] for f in ends[1][0]["failures"]]
+    body = robots.named("quadruped")
+    with pytest.raises(TrainerError, match="another kp"):
+        export.as_policy(out / "policy.onnx", lambda *_: replace(body, kp=2 * body.kp))
 
 
 def test_help_for_a_first_success_leaves_the_users_own_settings() -> None:
@@ -101,8 +112,9 @@ def test_a_policy_of_another_layout_or_robot_is_refused(folder: Path, capsys: py
     assert said["file"] == policy
     said = failure(capsys, "finetune", "flat", "--policy", policy, "--robot", "g1", "--final-trials", "0", *SMALL)
     assert (said["expected"], said["found"]) == ("g1", "quadruped")
-    said = failure(capsys, "evaluate", "flat", "--policy", str(folder / "base" / "policy.onnx"))
-    assert "need the checkpoint" in said["message"]
+    exported = str(folder / "base" / "policy.onnx")
+    said = failure(capsys, "finetune", "flat", "--policy", exported, "--final-trials", "0", *SMALL)
+    assert "needs the checkpoint" in said["message"]
 
 
 def test_what_cannot_be_done_is_said(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

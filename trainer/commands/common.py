@@ -60,20 +60,12 @@ def find_scene(names: Sequence[str]) -> Scene:
 
 
 def load_policy(path: Path) -> Policy:
-    """A trained policy (.pt), for trials.
+    """A trained policy (.pt), or an exported one (.onnx), for trials.
 
     Raises:
-        TrainerError: an exported one, or no policy at all.
+        TrainerError: no policy, or an exported one with another robot's gains.
     """
-    if path.suffix == ".onnx":
-        _, facts = export.load(path)
-        raise TrainerError(
-            "trials need the checkpoint, not the exported policy",
-            file=path,
-            expected="policy.pt beside it",
-            found=f"an ONNX policy of {facts.robot}",
-        )
-    return checkpoint.load(path)[0]
+    return export.as_policy(path, named) if path.suffix == ".onnx" else checkpoint.load(path)[0]
 
 
 def setting(policy: Policy, file: Path, device: torch.device, config: TrainConfig) -> Setting:

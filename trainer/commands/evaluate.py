@@ -33,7 +33,7 @@ def evaluate(
 
     Args:
         scenes: folders of `realsim reconstruct`, or names of terrains (see `realsim finetune --help`).
-        policy: policy.pt.
+        policy: policy.pt, or the policy.onnx that a robot runs.
         finer: the same scenes with contact geometry that was not trained on.
         out: JSON with every figure and every failed trial.
         overwrite: replace a file that is there already.

@@ -64,6 +64,13 @@ def finetune(
             expected="--policy base.pt, or --from-scratch",
             found="both",
         )
+    if policy is not None and policy.suffix == ".onnx":
+        raise common.TrainerError(
+            "training needs the checkpoint, not the exported policy",
+            file=policy,
+            expected="the policy.pt beside it",
+            hint="realsim evaluate takes the exported one",
+        )
     if policy is None and not from_scratch and config.resume is None:
         robot = config.robot or "g1"
         policy, task_file = base_of(robot), task_file or TASKS[robot]

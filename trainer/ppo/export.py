@@ -7,7 +7,7 @@ import json
 import logging
 import os
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -20,7 +20,9 @@ from realsim.core.errors import ModelError, extra
 from realsim.core.files import write_bytes
 from realsim.core.onnx_file import open_network
 from trainer.errors import TrainerError
+from trainer.ppo.config import NetworkConfig
 from trainer.ppo.metadata import check_graph, read_metadata
+from trainer.ppo.networks import Critic
 from trainer.ppo.policy import Policy
 from trainer.robots import TrainedRobot
 from trainer.tasks import ObservationLayout
@@ -135,6 +137,44 @@ def load(path: Path) -> tuple[Any, Deployment]:
     layout, rest = read_metadata(meta[KEY], VERSION, path)
     check_graph(runtime, layout, path)
     return runtime, Deployment(layout, **rest)
+
+
+class _Runtime(torch.nn.Module):
+    """An exported network in the place of the actor that it was."""
+
+    def __init__(self, runtime: Any) -> None:
+        super().__init__()
+        self.runtime = runtime
+
+    def forward(self, vector: torch.Tensor, depth: torch.Tensor | None) -> torch.Tensor:
+        given = {"vector": vector} if depth is None else {"vector": vector, "depth": depth}
+        (action,) = self.runtime.run(None, {name: value.cpu().numpy() for name, value in given.items()})
+        return torch.from_numpy(action).to(vector.device)
+
+
+def as_policy(path: Path, robot: Callable[[str, Path], TrainedRobot]) -> Policy:
+    """An exported policy for trials: the network that a robot runs, without a critic, so it cannot be trained.
+
+    Args:
+        path: policy.onnx.
+        robot: finds a robot by its name; the file is for the message.
+
+    Raises:
+        TrainerError: as `load`; or its pose, action scale or gains are not the robot's, which trials take.
+    """
+    runtime, facts = load(path)
+    body = robot(facts.robot, path)
+    for name in ("default", "action_scale", "kp", "kd"):
+        if not np.allclose(mine := getattr(facts, name), own := getattr(body, name), rtol=1e-4, atol=1e-6):
+            j = int(np.argmax(np.abs(np.subtract(mine, own))))
+            raise TrainerError(
+                f"the policy was trained with another {name} than the robot {facts.robot} has here",
+                file=path,
+                expected=f"{own[j]:g} at {body.joints[j]}",
+                found=f"{mine[j]:g}",
+                hint="the robot's file has changed since: restore it, or train again",
+            )
+    return Policy(_Runtime(runtime), Critic(facts.layout, NetworkConfig()), facts.layout, NetworkConfig(), facts.robot)
 
 
 def session(data: bytes) -> Any:
