@@ -58,6 +58,8 @@ def unseen() -> list[str]:
     flown, contract = stored("gap_flights")["rows"], stored("gap_contract")["rows"]
     damaged, wrong = [r for r in flown if r["truth"]], [r for r in contract if r["kind"]]
     normal, right = [r for r in flown if not r["truth"]], [r for r in contract if not r["kind"]]
+    compared = [r for r in flown if r.get("since", "not compared") != "not compared"]
+    changed, same = [r for r in compared if r["truth"]], [r for r in compared if not r["truth"]]
 
     def judged(of: list[Row], *words: str) -> str:
         return share((sum(r["judged"] in words for r in of), len(of)))
@@ -76,10 +78,14 @@ def unseen() -> list[str]:
         ("damaged drones: mass or thrust, rightly", flagged(damaged, "kind_right"), "80 %"),
         ("damaged drones: at the right arm", flagged(damaged, "arm_right"), "80 %"),
         ("normal flights, nothing named", flagged(normal, "kind_right"), "all"),
+        ("changed since a normal flight: mass or thrust", flagged(changed, "change_right"), "80 %"),
+        ("changed since a normal flight: the arm", flagged(changed, "change_arm_right"), "80 %"),
+        ("a normal flight since another, no change named", flagged(same, "change_right"), "all"),
         ("policies run wrongly: all mistakes named, and no other", flagged(wrong, "right"), "95 %"),
         ("policies run wrongly: a wrong answer that is sure", flagged(wrong, "wrong_and_sure"), "none"),
         ("policies run rightly: no mistake named", flagged(right, "right"), "40 of 40"),
     ]  # fmt: skip
+    lines = [line for line in lines if compared or "since" not in line[0]]
     return ["| measure | result | bar |", "|---|---|---|", *(f"| {' | '.join(line)} |" for line in lines)]
 
 

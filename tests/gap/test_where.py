@@ -14,9 +14,8 @@ import pytest
 from realsim.gap import Case, DiagnoseConfig, load_case
 from realsim.gap.case.motion import estimate, smooth
 from realsim.gap.inference.evidence.inverse import base_wrench, torque_residual
-from realsim.gap.inference.evidence.scatter import significant
 from realsim.gap.inference.evidence.shooting import shoot
-from realsim.gap.inference.evidence.where import by_horizon, evidence, localise
+from realsim.gap.inference.evidence.where import by_horizon, evidence, localise, significant
 from realsim.gap.inference.likelihood.comparison import Comparison
 from realsim.gap.simulation.simulate import Simulator
 

@@ -157,10 +157,9 @@ def implausible(causes: Sequence[Cause]) -> list[str]:
 
 
 def imitates(fit: Fit) -> bool:
-    """Whether a cause is larger than plausible, or at an end of its range, its place on a body too."""
+    """Whether a cause is larger than plausible, or its strength at an end of its range."""
     values = [(p, v) for c in fit.causes for p, v in zip(c.candidate.parameters, c.values, strict=True)]
-    ends = any((p.strength or p.shape) and at_bound(p, value) for p, value in values)
-    return ends or any(abs(value) > _most(p)[0] for p, value in values)
+    return any(abs(v) > _most(p)[0] or (p.strength and at_bound(p, v)) for p, v in values)
 
 
 def _most(p: Parameter) -> tuple[float, str]:

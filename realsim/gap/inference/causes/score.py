@@ -13,7 +13,7 @@ from realsim.gap.effects.lookup import lookup
 from realsim.gap.inference.causes.fit import Cause, Fit, Fitter
 from realsim.gap.inference.causes.fitted import imitates
 from realsim.gap.inference.causes.leftover import leftover
-from realsim.gap.inference.causes.starts import twins
+from realsim.gap.inference.causes.starts import contains, twins
 from realsim.gap.inference.likelihood.screen import Screen
 
 
@@ -67,11 +67,17 @@ def asked(screen: Screen, before: Fit) -> float:
 
 
 def doubts(fitter: Fitter, before: Fit, after: Fit) -> tuple[list[str], Held | None]:
-    """(what speaks against the further cause of `after`: it gains too little, or not on runs that are left out; its
-    gain on those)."""
-    found = []
+    """(what speaks against the last cause of `after`: it gains too little, or not on runs that are left out, as must a
+    law that contains the one whose place it takes; its gain on those)."""
     if before.causes and imitates(after) and not imitates(before):  # it would spoil the values of the others, too
         return ["larger than plausible: it imitates what is left"], None
+    if len(after.causes) <= len(before.causes):
+        if not any(contains(after.causes[-1].candidate, c.candidate) for c in before.causes):
+            return [], None
+        held = left_out(fitter, before, after)
+        needed = held is None or _holds(*held)
+        return [] if needed else ["runs left out in turn do not need the richer law"], held
+    found = []
     gain, least = score(fitter.screen, before) - score(fitter.screen, after), asked(fitter.screen, before)
     if gain < least:
         found.append(f"gains {gain:.1f} nats, must gain {least:.1f}")

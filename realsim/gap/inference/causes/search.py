@@ -132,7 +132,7 @@ class Search:
         for fit in sorted(fits, key=lambda f: self._score(f) + bent(before, f)):
             if self._score(before) - self._score(fit) < least:
                 continue
-            said, held = doubts(self.fitter, before, fit) if len(fit.causes) > len(before.causes) else ([], None)
+            said, held = doubts(self.fitter, before, fit)
             for trial in [t for t in self.trials if t.candidate.key == fit.causes[-1].candidate.key][-1:]:
                 trial.outcome, trial.held = "; ".join(said) or "accepted", held
             if not said:
