@@ -160,7 +160,7 @@ def _static(model: Any, path: Path) -> _Static:
             spec.worldbody.add_geom(type=kind, contype=1, conaffinity=1, **place)
             part = Polytope(corners @ R.T + data.geom_xpos[g])
             parts.append((name, part))
-            own.append(part.triangles())
+            own.append(part.hull[:2])
     drawn = visual or own
     if not parts or not drawn:
         found = f"{len(parts)} static geoms that collide, besides planes"

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.core.geometry import R_to_quat, quat_to_R
+from realsim.core.meshes import across, areas
 from realsim.export.contact.base import Asset, Geom
 
 F64 = NDArray[np.float64]
@@ -43,6 +44,14 @@ class Polytope:
         """The hull of points (M, 3), as a box where it is one."""
         return Polytope(points, _as_box(name, points))
 
+    @staticmethod
+    def around(*points: F64) -> Polytope:
+        """The same of several arrays of points, with the corners of the hull alone."""
+        from scipy.spatial import ConvexHull
+
+        every = np.concatenate(points)
+        return Polytope.of_points("", every[ConvexHull(every - every.mean(0)).vertices])
+
     @cached_property
     def lower(self) -> F64:
         """(3,) lower corner of its bounds."""
@@ -54,6 +63,20 @@ class Polytope:
         return np.asarray(self.points.max(0))
 
     @cached_property
+    def hull(self) -> tuple[F64, NDArray[np.int64], F64]:
+        """((M, 3) corners, (K, 3) triangles of them, facing out, (K, 4) unit normal and offset of each)."""
+        from scipy.spatial import ConvexHull
+
+        middle = self.points.mean(0)
+        made = ConvexHull(self.points - middle)
+        normals = across(self.points, made.simplices)
+        inward = (normals * made.equations[:, :3]).sum(1) < 0
+        triangles = np.where(inward[:, None], made.simplices[:, ::-1], made.simplices).astype(np.int64)
+        planes = made.equations.copy()
+        planes[:, 3] -= planes[:, :3] @ middle
+        return self.points, triangles, planes
+
+    @cached_property
     def planes(self) -> F64:
         """(P, 4) of each face: unit normal and offset; inside, normal . x + offset <= 0."""
         return np.array([[*face.normal, face.offset] for face in self.faces])
@@ -61,24 +84,19 @@ class Polytope:
     @cached_property
     def faces(self) -> tuple[Face, ...]:
         """Its faces, triangles of one plane together."""
-        from scipy.spatial import ConvexHull
-
-        middle = self.points.mean(0)
-        hull = ConvexHull(self.points - middle)
-        order = np.argsort(-_areas(hull.points[hull.simplices]), kind="stable")  # large ones have the better normals
+        points, triangles, equations = self.hull
+        order = np.argsort(-areas(points, triangles), kind="stable")  # large ones have the better normals
         free = np.ones(len(order), bool)
         out = []
-        equations = hull.equations
         for k in order:
             if not free[k]:
                 continue
             normal, offset = equations[k, :3], equations[k, 3]
-            within = np.abs(hull.points[hull.simplices] @ normal + offset).max(1) < SQUARE
+            within = np.abs(points[triangles] @ normal + offset).max(1) < SQUARE
             same = free & within & (equations[:, :3] @ normal > 1 - ONE_PLANE)
             same[k] = True
             free &= ~same
-            corners = hull.points[np.unique(hull.simplices[same])] + middle
-            out.append(Face(normal, float(offset - normal @ middle), corners))
+            out.append(Face(normal, float(offset), points[np.unique(triangles[same])]))
         return tuple(out)
 
     def face_like(self, face: Face) -> Face | None:
@@ -106,16 +124,6 @@ class Polytope:
         a, b = self.points[over][:, None], self.points[under][None]
         t = (height[over][:, None] / (height[over][:, None] - height[under][None]))[..., None]
         return face.flat((a + t * (b - a)).reshape(-1, 3))
-
-    def triangles(self) -> tuple[F64, NDArray[np.int64]]:
-        """((M, 3) corners, (K, 3) triangles facing out) of its surface."""
-        from scipy.spatial import ConvexHull
-
-        hull = ConvexHull(self.points - self.points.mean(0))
-        corners = self.points[hull.simplices]
-        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        inward = (normals * hull.equations[:, :3]).sum(1) < 0
-        return self.points, np.where(inward[:, None], hull.simplices[:, ::-1], hull.simplices).astype(np.int64)
 
     def part(self, name: str) -> tuple[Geom, Asset | None]:
         """Its geom, and the asset of that where it is no box."""
@@ -149,10 +157,6 @@ class Face:
     def lifted(self, flat: F64, beyond: float = 0.0) -> F64:
         """(N, 3) of points (N, 2) in its plane, `beyond` metres outside."""
         return np.asarray(flat @ self.axes + (beyond - self.offset) * self.normal)
-
-
-def _areas(corners: F64) -> F64:
-    return np.asarray(np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1))
 
 
 def _as_box(name: str, points: F64) -> Geom | None:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.export.contact.base import Asset, ContactModel, Geom
+from realsim.export.contact.merge import Neighbours, Whole, merged
 from realsim.export.contact.outline import hull
 from realsim.export.contact.polytope import Face, Polytope
 
@@ -28,10 +29,14 @@ GAP = 0.003
 """Metres between parts that still meet: outlines are simplified one by one."""
 STICKS_OUT = 0.003
 """Metres by which what is grown may stand out at a rim; planes are fitted no more closely to a surface."""
+DEEP = 0.75 * REACH
+"""Metres by which one part has to be in the other for nothing to stay on the seam."""
 FLUSH = 1e-5
 """Metres below a neighbour's far side at which a part ends that goes through all of it."""
 NARROW = 0.004
 """Metres: a thinner strip of contact is no seam that anything gets into."""
+OPPOSED = 0.9
+"""Cosine: parts push against each other where they meet face to face. Where they cross, they push to the free side."""
 
 
 def overlap(contact: ContactModel) -> ContactModel:
@@ -40,19 +45,23 @@ def overlap(contact: ContactModel) -> ContactModel:
     First parts grow across whole faces that their neighbours cover, so that a box stays a box; for what is left of a
     seam, a part is added that spans it.
     """
-    parts, others = parts_of(contact)
-    near = _Neighbours(parts)
+    before, others = parts_of(contact)
+    named = [g.name for g in contact.geoms if g.type in ("box", "mesh") and not g.visible]
+    whole = Whole(before, others)
+    fewer = merged(before, whole)
+    named = [name for name, part in zip(named, fewer, strict=True) if part is not None]
+    parts = [part for part in fewer if part is not None]
+    near = Neighbours(parts)
     for i in range(len(parts)):
-        for before in parts[i].faces:
-            face = parts[i].face_like(before)  # growing across one face makes those beside it longer
-            grown = None if face is None else _grown(parts, near, i, face)
+        for old in parts[i].faces:
+            face = parts[i].face_like(old)  # growing across one face makes those beside it longer
+            grown = None if face is None else _grown(parts, near, whole, i, face)
             if grown is not None:
                 parts[i] = grown
                 near.update(i, grown)
     added = list(_bridges(parts, near))
     geoms: list[Geom] = list(others)
     assets: list[Asset] = [a for a in contact.assets if a.points is None]
-    named = [g.name for g in contact.geoms if g.type in ("box", "mesh") and not g.visible]
     for name, part in zip([*named, *(f"seam_{k}" for k in range(len(added)))], [*parts, *added], strict=True):
         geom, asset = part.part(name)
         geoms.append(geom)
@@ -75,15 +84,13 @@ class Seam:
 
 def open_seams(parts: list[Polytope]) -> list[Seam]:
     """Seams that no part spans, one for each pair of parts; slivers that nothing can stay in do not count."""
-    near = _Neighbours(parts)
+    near = Neighbours(parts)
     found: dict[tuple[int, int], Seam] = {}
     for i, part in enumerate(parts):
         for face in part.faces:
             for cover in _covers(parts, near, i, face):
                 pair = (min(i, cover.part), max(i, cover.part))
-                if pair in found or _spanned(parts, near, part, face, cover):
-                    continue
-                if _bridge(part, face, cover) is not None:
+                if pair not in found and not _spanned(parts, near, cover):
                     found[pair] = Seam(*pair, face.lifted(cover.near).mean(0))
     return list(found.values())
 
@@ -103,24 +110,6 @@ def parts_of(contact: ContactModel) -> tuple[list[Polytope], list[Geom]]:
     return parts, others
 
 
-class _Neighbours:
-    """Bounds of parts, to find those that may meet one."""
-
-    def __init__(self, parts: list[Polytope]) -> None:
-        self.lower = np.array([p.lower for p in parts])
-        self.upper = np.array([p.upper for p in parts])
-
-    def update(self, i: int, part: Polytope) -> None:
-        self.lower[i], self.upper[i] = part.lower, part.upper
-
-    def of(self, low: F64, high: F64, but: int = -1) -> NDArray[np.int64]:
-        """Those that meet a box."""
-        meets: NDArray[np.bool_] = np.asarray(((self.lower <= high) & (self.upper >= low)).all(1))
-        if but >= 0:
-            meets[but] = False
-        return np.flatnonzero(meets)
-
-
 @dataclass(frozen=True)
 class _Cover:
     """What a neighbour covers of a face."""
@@ -129,21 +118,54 @@ class _Cover:
     near: F64
     """(K, 2) outline just outside the face."""
     far: F64
-    """(K, 2) outline `reach` outside it, as far as the face goes."""
+    """(K, 2) outline `reach` outside it, as far as the face's part can go on straight."""
     reach: float
     """Metres: REACH, or as far as the neighbour goes."""
+    core: F64
+    """(M, 3) corners of what a part has to hold that spans the seam."""
 
 
-def _covers(parts: list[Polytope], near: _Neighbours, i: int, face: Face) -> Iterator[_Cover]:
-    """Neighbours that go on where a face of part i ends."""
+def _covers(parts: list[Polytope], near: Neighbours, i: int, face: Face) -> Iterator[_Cover]:
+    """Neighbours that go on where a face of part i ends, and do not reach into it."""
     beyond = face.corners + REACH * face.normal
     low, high = np.minimum(face.corners.min(0), beyond.min(0)), np.maximum(face.corners.max(0), beyond.max(0))
-    outline = convex(face.flat(face.corners))
+    outline, part = convex(face.flat(face.corners)), parts[i]
     for j in near.of(low, high, but=i):
-        close = clip(outline, parts[j].section(face, GAP))
-        if _width(close) > NARROW:
-            reach = min(REACH, _thickness(parts[j], face) - FLUSH)
-            yield _Cover(int(j), close, clip(outline, parts[j].section(face, reach)), reach)
+        other = parts[j]
+        back = min(other.faces, key=lambda f: float(f.normal @ face.normal))
+        cosine = float(back.normal @ face.normal)
+        if cosine > -OPPOSED:
+            continue
+        close = clip(outline, other.section(face, GAP))
+        if _width(close) <= NARROW:
+            continue
+        into = float(((face.lifted(close) @ back.normal + back.offset) / cosine).min())
+        if into > DEEP:
+            continue
+        reach = min(REACH, _thickness(other, face) - FLUSH)
+        far = _straight_on(part, face, reach, other.section(face, reach))
+        depth = min(REACH + max(into, 0.0), -float((part.points @ face.normal + face.offset).min()) - FLUSH)
+        inside = clip(close, _straight_on(other, back, depth, part.section(face, -depth), face))
+        outside = clip(close, far)
+        if _width(inside) > NARROW and _width(outside) > NARROW:
+            core = [face.lifted(inside, -depth), face.lifted(close), face.lifted(outside, reach)]
+            yield _Cover(int(j), close, far, reach, np.concatenate(core))
+
+
+def _straight_on(part: Polytope, face: Face, beyond: float, outline: F64, flat: Face | None = None) -> F64:
+    """What of an outline (K, 2), `beyond` metres outside a part's face, lies between that part's other faces.
+
+    Args:
+        flat: the face in whose plane the outline is given, on the other side of the same seam; None for `face`.
+    """
+    plane, height = (face, beyond) if flat is None else (flat, -beyond)
+    outline = convex(outline)
+    for other in part.faces:
+        if other is not face and len(outline):
+            normal = plane.axes @ other.normal
+            offset = other.offset + (height - plane.offset) * float(plane.normal @ other.normal)
+            outline = _cut(outline, outline @ normal + offset)
+    return convex(outline)
 
 
 def _thickness(part: Polytope, face: Face) -> float:
@@ -151,81 +173,41 @@ def _thickness(part: Polytope, face: Face) -> float:
     return float((part.points @ face.normal + face.offset).max())
 
 
-def _grown(parts: list[Polytope], near: _Neighbours, i: int, face: Face) -> Polytope | None:
-    """Part i, grown across one of its faces, if neighbours cover all of that and no part spans the seam yet."""
-    from manifold3d import CrossSection, FillRule, JoinType
-
-    covers = list(_covers(parts, near, i, face))
-    open_ = [c for c in covers if not _spanned(parts, near, parts[i], face, c)]
+def _grown(parts: list[Polytope], near: Neighbours, whole: Whole, i: int, face: Face) -> Polytope | None:
+    """Part i, grown across one of its faces into what no part spans yet, if that adds nothing to the whole."""
+    part, covers = parts[i], list(_covers(parts, near, i, face))
+    open_ = [c for c in covers if not _spanned(parts, near, c)]
     if not open_:
         return None
-    whole = CrossSection([convex(face.flat(face.corners))], FillRule.NonZero)
-    thickness = min(_thickness(parts[c.part], face) for c in covers) - FLUSH
-    for reach in sorted({min(FARTHER, thickness), min(REACH, thickness)}, reverse=True):
-        filled = CrossSection()
-        for cover in covers:
-            outline = clip(cover.near, parts[cover.part].section(face, reach))
-            if len(outline) > 2:
-                filled += CrossSection([outline], FillRule.NonZero)
-        # What is left uncovered may be a thread along the rim.
-        if (whole - filled).offset(-STICKS_OUT / 2, JoinType.Miter).area() <= 1e-9:
-            return _with_face_moved(parts[i], face, reach)
-    if parts[i].box is not None:
-        return None
+    outline = convex(face.flat(face.corners))
+    through = min(_thickness(parts[c.part], face) for c in covers) - FLUSH
+    tries = [(outline, FARTHER), (outline, REACH), (outline, through)]
     # A neighbour whose own surface falls away from the seam (the other side of a ridge) is entered below that.
-    for cover in open_:
-        alone = (whole - CrossSection([cover.near], FillRule.NonZero)).offset(-STICKS_OUT / 2, JoinType.Miter)
-        if alone.area() <= 1e-9 and _width(cover.far) > NARROW:
-            return Polytope(_hull(np.concatenate([parts[i].points, face.lifted(cover.far, cover.reach)])))
+    tries += [(cover.far, cover.reach) for cover in open_]
+    for flat, by in tries:
+        ahead = face.lifted(_straight_on(part, face, by, flat), by)
+        middle = ahead.mean(0) if len(ahead) else ahead
+        if len(ahead) < 3 or not whole.holds(middle + 0.9 * (ahead - middle), 0.0):  # the end is nowhere outside
+            continue
+        if whole.holds_hull(Polytope.around(face.corners, ahead), STICKS_OUT, part):
+            return Polytope.around(part.points, ahead)
     return None
 
 
-def _with_face_moved(part: Polytope, face: Face, by: float) -> Polytope:
-    if part.box is None:
-        return Polytope(_hull(np.concatenate([part.points, face.corners + by * face.normal])))
-    from realsim.core.geometry import quat_to_R
-
-    axes = quat_to_R(part.box.quat).T
-    k = int(np.abs(axes @ face.normal).argmax())
-    size = np.array(part.box.size)
-    size[k] += by / 2
-    pos = np.array(part.box.pos) + by / 2 * face.normal
-    return Polytope.of_box(replace(part.box, pos=tuple(pos.tolist()), size=tuple(size.tolist())))
-
-
-def _bridges(parts: list[Polytope], near: _Neighbours) -> Iterator[Polytope]:
-    """Parts across what is left of the seams."""
+def _bridges(parts: list[Polytope], near: Neighbours) -> Iterator[Polytope]:
+    """Parts across what is left of the seams, within both sides."""
     made: list[Polytope] = []
     for i, part in enumerate(parts):
         for face in part.faces:
             for cover in _covers(parts, near, i, face):
-                if _spanned(parts, near, part, face, cover):
-                    continue
-                bridge = _bridge(part, face, cover)
-                if bridge is None or any(m.contains(bridge.points, GAP).all() for m in made):
-                    continue
-                made.append(bridge)
-                yield bridge
+                if not _spanned(parts, near, cover) and not any(m.contains(cover.core, GAP).all() for m in made):
+                    made.append(Polytope.around(cover.core))
+                    yield made[-1]
 
 
-def _bridge(part: Polytope, face: Face, cover: _Cover) -> Polytope | None:
-    """The part that spans a seam: nowhere wider than the seam itself, so that it stays within both."""
-    depth = min(REACH, -float((part.points @ face.normal + face.offset).min()) - FLUSH)
-    inside = clip(cover.near, part.section(face, -depth))
-    outside = clip(cover.near, cover.far)
-    if _width(inside) <= NARROW or _width(outside) <= NARROW:
-        return None
-    rows = [face.lifted(inside, -depth), face.lifted(cover.near), face.lifted(outside, cover.reach)]
-    return Polytope.of_points("", _hull(np.concatenate(rows)))
-
-
-def _spanned(parts: list[Polytope], near: _Neighbours, part: Polytope, face: Face, cover: _Cover) -> bool:
-    """Whether one part holds the seam and most of REACH on both sides of it."""
-    deep = 0.75 * REACH
-    inside, outside = clip(cover.near, part.section(face, -deep)), clip(cover.near, cover.far)
-    ahead = 0.75 * cover.reach
-    points = [face.lifted(outline, by) for outline, by in ((inside, -deep), (cover.near, 0.0), (outside, ahead))]
-    core = np.concatenate(points)
+def _spanned(parts: list[Polytope], near: Neighbours, cover: _Cover) -> bool:
+    """Whether one part holds a seam and REACH on both sides of it."""
+    core = cover.core
     return any(parts[j].contains(core, GAP).all() for j in near.of(core.min(0) + GAP, core.max(0) - GAP))
 
 
@@ -240,21 +222,21 @@ def clip(outline: F64, other: F64) -> F64:
     if len(outline) < 3 or len(other) < 3:
         return np.zeros((0, 2))
     for a, b in zip(other, np.roll(other, -1, 0), strict=True):
-        side = (b[0] - a[0]) * (outline[:, 1] - a[1]) - (b[1] - a[1]) * (outline[:, 0] - a[0])
-        if (side >= 0).all():
-            continue
-        if (side < 0).all():
-            return np.zeros((0, 2))
-        kept = []
-        for k in range(len(outline)):
-            n = (k + 1) % len(outline)
-            if side[k] >= 0:
-                kept.append(outline[k])
-            if (side[k] >= 0) != (side[n] >= 0):
-                t = side[k] / (side[k] - side[n])
-                kept.append(outline[k] + t * (outline[n] - outline[k]))
-        outline = np.array(kept)
+        outline = _cut(outline, (b[1] - a[1]) * (outline[:, 0] - a[0]) - (b[0] - a[0]) * (outline[:, 1] - a[1]))
     return convex(outline)
+
+
+def _cut(outline: F64, outside: F64) -> F64:
+    """(M, 2) what of a convex outline (K, 2) is not outside a line, by the distances (K,) of its corners from that."""
+    kept, out = [], outside > 1e-6  # of two lines in one, rounding would cut a corner off
+    for k in range(len(outline)):
+        n = (k + 1) % len(outline)
+        if not out[k]:
+            kept.append(outline[k])
+        if out[k] != out[n]:
+            t = outside[k] / (outside[k] - outside[n])
+            kept.append(outline[k] + t * (outline[n] - outline[k]))
+    return np.array(kept).reshape(-1, 2)
 
 
 def _width(outline: F64) -> float:
@@ -266,9 +248,3 @@ def _width(outline: F64) -> float:
     around = float(np.linalg.norm(np.roll(outline, -1, 0) - outline, axis=1).sum())
     return 2 * area / max(around, 1e-12)
 
-
-def _hull(points: F64) -> F64:
-    from scipy.spatial import ConvexHull
-
-    middle = points.mean(0)
-    return np.asarray(points[ConvexHull(points - middle).vertices])

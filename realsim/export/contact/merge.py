@@ -1,0 +1,127 @@
+"""Parts whose hull adds nothing to the shape are made one: a frustum cut under each of its faces is one part again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from realsim.core.meshes import areas, sampled
+from realsim.export.contact.base import Geom
+from realsim.export.contact.polytope import Polytope
+
+F64 = NDArray[np.float64]
+ADDS = 0.005
+"""Metres by which a hull may stand out of the shape, as a box may from the prism that it stands for."""
+SPACING = 0.01
+"""Metres between the places on a hull that are looked at, and..."""
+PLACES = 20_000
+"""...how many at most on a part: a large one is looked at more widely."""
+TOUCH = 0.003
+"""Metres between parts that still meet: outlines are simplified one by one."""
+MOST_CORNERS = 64
+"""Of one part; colliders on a GPU take no more."""
+
+
+class Neighbours:
+    """Bounds of parts, to find those that may meet one."""
+
+    def __init__(self, parts: Iterable[Polytope]) -> None:
+        bounds = np.array([(p.lower, p.upper) for p in parts]).reshape(-1, 2, 3)
+        self.lower, self.upper = bounds[:, 0], bounds[:, 1]
+
+    def update(self, i: int, part: Polytope | None) -> None:
+        """A part that changed, or is gone."""
+        self.lower[i], self.upper[i] = (np.inf, -np.inf) if part is None else (part.lower, part.upper)
+
+    def of(self, low: F64, high: F64, but: int = -1) -> NDArray[np.int64]:
+        """Those that meet a box."""
+        meets: NDArray[np.bool_] = np.asarray(((self.lower <= high) & (self.upper >= low)).all(1))
+        if but >= 0:
+            meets[but] = False
+        return np.flatnonzero(meets)
+
+
+class Whole:
+    """What parts and the ground fill together."""
+
+    def __init__(self, parts: list[Polytope], others: list[Geom]) -> None:
+        """
+        Args:
+            others: geoms that are no parts: a floor.
+        """
+        self.parts = parts + [Polytope.of_box(g) for g in others if g.type == "box"]
+        self.near = Neighbours(self.parts)
+        self.ground = max((g.pos[2] for g in others if g.type == "plane"), default=-np.inf)
+
+    def holds(self, points: F64, margin: float) -> bool:
+        """Whether points (N, 3) all lie inside, or at most `margin` metres outside."""
+        left = points[points[:, 2] > self.ground + margin]
+        if not len(left):
+            return True
+        for k in self.near.of(left.min(0) - margin, left.max(0) + margin):
+            left = left[~self.parts[k].contains(left, margin)]
+            if not len(left):
+                return True
+        return False
+
+    def holds_hull(self, part: Polytope, margin: float, *within: Polytope) -> bool:
+        """Whether a part stands out of the shape by at most `margin` metres; places on its surface are looked at.
+
+        Args:
+            within: parts of the shape that it is made of.
+        """
+        points, triangles, _ = part.hull
+        for one in within:
+            triangles = triangles[~one.contains(points[triangles].reshape(-1, 3), 1e-6).reshape(-1, 3).all(1)]
+        if not len(triangles) or not self.holds(points[triangles].mean(1), margin):  # most are refused here
+            return not len(triangles)
+        count = int(np.clip(areas(points, triangles).sum() / SPACING**2, 100, PLACES))
+        return self.holds(sampled(points, triangles, count, np.random.default_rng(0))[0], margin)
+
+
+def merged(parts: list[Polytope], whole: Whole) -> list[Polytope | None]:
+    """The same shape in fewer parts: each as it was, grown, or None where another has taken it in."""
+    out: list[Polytope | None] = list(parts)
+    near = Neighbours(parts)
+    refused: set[tuple[int, int]] = set()
+    kept = list(parts)  # so that no identity is given twice
+    changed = True
+    while changed:
+        changed = False
+        for i, part in enumerate(out):
+            if part is None:
+                continue
+            while (found := _partner(out, near, whole, i, refused)) is not None:
+                out[i] = found
+                kept.append(found)
+                near.update(i, found)
+                changed = True
+                for j in near.of(found.lower - TOUCH, found.upper + TOUCH, but=i):
+                    other = out[j]
+                    if other is not None and found.contains(other.points, ADDS).all():
+                        out[j] = None
+                        near.update(int(j), None)
+    return out
+
+
+def _partner(
+    parts: list[Polytope | None], near: Neighbours, whole: Whole, i: int, refused: set[tuple[int, int]]
+) -> Polytope | None:
+    """The hull of a part and of one that it meets, if there is one that adds nothing."""
+    one = parts[i]
+    assert one is not None
+    for j in near.of(one.lower - TOUCH, one.upper + TOUCH, but=i):
+        other = parts[j]
+        if other is None:
+            continue
+        pair = (min(id(one), id(other)), max(id(one), id(other)))
+        if pair in refused:
+            continue
+        hull = Polytope.around(one.points, other.points)
+        if len(hull.points) <= MOST_CORNERS and whole.holds_hull(hull, ADDS, one, other):
+            return hull
+        refused.add(pair)
+    return None
+
