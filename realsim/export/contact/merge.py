@@ -12,8 +12,9 @@ from realsim.export.contact.base import Geom
 from realsim.export.contact.polytope import Polytope
 
 F64 = NDArray[np.float64]
-ADDS = 0.005
-"""Metres by which a hull may stand out of the shape, as a box may from the prism that it stands for."""
+ADDS = 0.004
+"""Metres by which a hull may stand out of the shape; planes are fitted no more closely to a surface. Set on the true mesh
+of a rendered capture: 30 prisms become 24, 20 or 18 parts with 3, 4 or 5 mm, and the p95 is 1.61, 1.66 or 1.75 mm."""
 SPACING = 0.01
 """Metres between the places on a hull that are looked at, and..."""
 PLACES = 20_000
@@ -124,4 +125,3 @@ def _partner(
             return hull
         refused.add(pair)
     return None
-

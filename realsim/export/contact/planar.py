@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.export.contact.islands import Island, Terrain, is_speck
+from realsim.export.contact.islands import Island, Terrain
 from realsim.export.contact.outline import convex_parts, outlines
 from realsim.export.contact.planes import SMALLEST, Window, from_corner, heights, misfit, segment, spread
 from realsim.export.contact.prisms import Prism
@@ -55,8 +55,6 @@ class _Region:
     def prisms(self, whole: Terrain, island: Island, z: F64, under: F64) -> list[Prism]:
         """The convex prisms that it is made of."""
         height = float(z[self.place][self.here].max()) - self.cover
-        if is_speck(height - whole.base, float(self.here.sum()) * whole.grid.cell**2):
-            return []
         rise = min(float(np.hypot(*self.top[:2])) / 2, THINNEST)  # from a cell's centre to the region's edge
         limits = height + rise, float(under[self.place][self.here].min()) - rise
         corner = np.array([self.place[0].start, self.place[1].start])

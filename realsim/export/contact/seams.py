@@ -247,4 +247,3 @@ def _width(outline: F64) -> float:
     area = 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
     around = float(np.linalg.norm(np.roll(outline, -1, 0) - outline, axis=1).sum())
     return 2 * area / max(around, 1e-12)
-
