@@ -36,7 +36,7 @@ def hybrid(shape: Shape, config: SceneConfig) -> ContactModel:
             assets.append(Asset.of_points(f"convex_{n}_{k}", part))
             geoms.append(Geom(assets[-1].name, "mesh", asset=assets[-1].name))
     statistics = dict(contact.statistics) | {"parts": len(geoms) - len(fine.floor)}
-    return overlap(ContactModel("hybrid", tuple(geoms), tuple(assets), statistics))
+    return overlap(ContactModel("hybrid", tuple(geoms), tuple(assets), statistics), fine.tolerance)
 
 
 def _same_place(fine: Terrain, island: Island, coarse: Terrain) -> set[int]:

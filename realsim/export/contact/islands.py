@@ -14,6 +14,7 @@ from realsim.export.contact.undersides import Walls, settle
 
 F64 = NDArray[np.float64]
 CELL = 0.005  # metres, and at least...
+FINE, ROUGH = 0.003, 0.015  # metres that a plane may be off: of an exact mesh, and at most, as the measure allows
 SHARE = 0.25  # ...this share of a reconstruction's resolution, below which there is nothing to find
 PIT = 0.015  # metres below the ground from which a plane will not do as floor
 RIM = 0.03  # metres beside a pit in which its walls come up to the ground
@@ -42,7 +43,7 @@ class Terrain:
     """z down to which islands reach: the ground, or the bottom of the deepest pit."""
     floor: tuple[Geom, ...]
     tolerance: float
-    """Metres by which the surface is uncertain, 3 to 7 mm."""
+    """Metres by which the surface is uncertain, FINE to ROUGH."""
     narrowest: int
     """Cells: what is narrower is what the mesh makes of an edge, not a face of its own."""
     unseen_undersides: tuple[float, float]
@@ -66,7 +67,7 @@ def terrain(mesh: TerrainMesh, ground_z: float, cell: float = CELL) -> Terrain:
     if mesh.noise_m is not None:  # not a mesh made by hand, whose long edges are exact
         cell = max(cell, SHARE * mesh.resolution)
     grid = columns(mesh, ground_z, cell)
-    tolerance = float(np.clip(2 * (mesh.noise_m or 0.0), 0.003, 0.007))
+    tolerance = float(np.clip(2 * (mesh.noise_m or 0.0), FINE, ROUGH))
     floor: tuple[Geom, ...] = (floor_plane(ground_z),)
     base = ground_z
     pits = _pits(grid, ground_z)

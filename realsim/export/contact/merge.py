@@ -13,7 +13,7 @@ from realsim.export.contact.polytope import Polytope
 
 F64 = NDArray[np.float64]
 ADDS = 0.004
-"""Metres by which a hull may stand out of the shape; planes are fitted no more closely to a surface. Set on the true mesh
+"""Metres by which a hull may stand out of the shape; planes are fitted no more closely to a surface. On the true mesh
 of a rendered capture: 30 prisms become 24, 20 or 18 parts with 3, 4 or 5 mm, and the p95 is 1.61, 1.66 or 1.75 mm."""
 SPACING = 0.01
 """Metres between the places on a hull that are looked at, and..."""
@@ -82,8 +82,12 @@ class Whole:
         return self.holds(sampled(points, triangles, count, np.random.default_rng(0))[0], margin)
 
 
-def merged(parts: list[Polytope], whole: Whole) -> list[Polytope | None]:
-    """The same shape in fewer parts: each as it was, grown, or None where another has taken it in."""
+def merged(parts: list[Polytope], whole: Whole, adds: float = ADDS) -> list[Polytope | None]:
+    """The same shape in fewer parts: each as it was, grown, or None where another has taken it in.
+
+    Args:
+        adds: metres by which a hull may stand out.
+    """
     out: list[Polytope | None] = list(parts)
     near = Neighbours(parts)
     refused: set[tuple[int, int]] = set()
@@ -94,21 +98,21 @@ def merged(parts: list[Polytope], whole: Whole) -> list[Polytope | None]:
         for i, part in enumerate(out):
             if part is None:
                 continue
-            while (found := _partner(out, near, whole, i, refused)) is not None:
+            while (found := _partner(out, near, whole, i, adds, refused)) is not None:
                 out[i] = found
                 kept.append(found)
                 near.update(i, found)
                 changed = True
                 for j in near.of(found.lower - TOUCH, found.upper + TOUCH, but=i):
                     other = out[j]
-                    if other is not None and found.contains(other.points, ADDS).all():
+                    if other is not None and found.contains(other.points, adds).all():
                         out[j] = None
                         near.update(int(j), None)
     return out
 
 
 def _partner(
-    parts: list[Polytope | None], near: Neighbours, whole: Whole, i: int, refused: set[tuple[int, int]]
+    parts: list[Polytope | None], near: Neighbours, whole: Whole, i: int, adds: float, refused: set[tuple[int, int]]
 ) -> Polytope | None:
     """The hull of a part and of one that it meets, if there is one that adds nothing."""
     one = parts[i]
@@ -121,7 +125,7 @@ def _partner(
         if pair in refused:
             continue
         hull = Polytope.around(one.points, other.points)
-        if len(hull.points) <= MOST_CORNERS and whole.holds_hull(hull, ADDS, one, other):
+        if len(hull.points) <= MOST_CORNERS and whole.holds_hull(hull, adds, one, other):
             return hull
         refused.add(pair)
     return None

@@ -27,7 +27,6 @@ F64 = NDArray[np.float64]
 # (boxes on a floor, slambook). What `sheets` gains is measured scene by scene against the other representations.
 # FELT and THIN were 12 and 15 mm until the misses on five real captures were looked at. Those five are not fresh data.
 FELT = 0.006  # metres, and at least the planes' tolerance: surface farther from every solid is not carried by it
-ROUGH = 0.015  # metres: the most that a plane may be off a noisy surface, as much as the measure allows
 FRONT = 0.03  # metres before a seen face where there is air
 INSIDE = 0.01  # metres inside a solid: less is an edge that is off
 SEEN = 0.5  # share of a solid's outside
@@ -48,8 +47,7 @@ def sheets(shape: Shape, config: SceneConfig) -> ContactModel:
     corners = vertices[seen]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = float(np.linalg.norm(cross, axis=1).sum()) / 2
-    # Noise is no shape: at 9 mm, planes true to 7 would break a wall into hundreds of pieces.
-    tolerance = max(whole.tolerance, min(2 * (mesh.noise_m or 0.0), ROUGH))
+    tolerance = whole.tolerance
     finest = mesh.resolution / 2 if mesh.noise_m is not None else 0.0
     spacing = max(0.01, finest, float(np.sqrt(area / MOST)))
     samples = sampled(vertices, seen, spacing)
@@ -59,7 +57,7 @@ def sheets(shape: Shape, config: SceneConfig) -> ContactModel:
     slabs = [(patch, slab) for patch in patches(lost, tolerance) for slab in _slabs(patch, lost, surface, tolerance)]
     # What things land on reaches into what is beside it.
     carrying = [slab[0] for patch, slab in slabs if slab[1] is None and patch.axes[2, 2] > 0]
-    solid = overlap(as_contact("sheets", [*kept, *carrying], whole.floor, {}))
+    solid = overlap(as_contact("sheets", [*kept, *carrying], whole.floor, {}), tolerance)
     others = [slab for patch, slab in slabs if slab[1] is not None or patch.axes[2, 2] <= 0]
     made = [as_geom(f"sheet_{k}", *slab) for k, slab in enumerate(others)]
     geoms = (*solid.geoms, *(geom for geom, _ in made))
