@@ -13,8 +13,8 @@ from realsim.export.contact.polytope import Polytope
 
 F64 = NDArray[np.float64]
 ADDS = 0.004
-"""Metres by which a hull may stand out of the shape; planes are fitted no more closely to a surface. On the true mesh of
-a rendered capture, 30 prisms become 20 parts and the p95 stays at 1.6 mm; with 5 mm, 18 and 1.7."""
+"""Metres by which a hull may stand out of the shape; planes are fitted no more closely. On the true mesh of a rendered
+capture, 30 prisms become 20 parts and the p95 stays at 1.6 mm; with 5 mm, 18 and 1.7."""
 SPACING = 0.01
 """Metres between the places on a hull that are looked at, and..."""
 PLACES = 20_000
