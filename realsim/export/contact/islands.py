@@ -13,7 +13,8 @@ from realsim.export.contact.columns import Columns, check_extent, columns
 from realsim.export.contact.undersides import Walls, settle
 
 F64 = NDArray[np.float64]
-CELL = 0.005  # metres, and at least...
+CELL = 0.005  # metres, of a small mesh that is exact as fine as...
+FINEST, ACROSS = 0.002, 300  # metres, and cells across: boards of 8 mm are walls of a bin; and at least...
 FINE, ROUGH = 0.003, 0.015  # metres that a plane may be off: of an exact mesh, and at most, as the measure allows
 SHARE = 0.25  # ...this share of a reconstruction's resolution, below which there is nothing to find
 PIT = 0.015  # metres below the ground from which a plane will not do as floor
@@ -61,11 +62,18 @@ class Terrain:
         }
 
 
-def terrain(mesh: TerrainMesh, ground_z: float, cell: float = CELL) -> Terrain:
-    """Everything that rises from the ground; about pits in the ground, the ground itself is an island too."""
+def terrain(mesh: TerrainMesh, ground_z: float, cell: float | None = None) -> Terrain:
+    """Everything that rises from the ground; about pits in the ground, the ground itself is an island too.
+
+    Args:
+        cell: metres between columns, at least; None: as fine as the mesh needs.
+    """
     check_extent(mesh)
-    if mesh.noise_m is not None:  # not a mesh made by hand, whose long edges are exact
-        cell = max(cell, SHARE * mesh.resolution)
+    if mesh.noise_m is None:  # made by hand: its long edges are exact
+        extent = float(np.ptp(mesh.vertices[mesh.triangles].reshape(-1, 3)[:, :2], axis=0).max())
+        cell = cell or min(CELL, max(FINEST, extent / ACROSS))
+    else:
+        cell = max(cell or CELL, SHARE * mesh.resolution)
     grid = columns(mesh, ground_z, cell)
     tolerance = float(np.clip(2 * (mesh.noise_m or 0.0), FINE, ROUGH))
     floor: tuple[Geom, ...] = (floor_plane(ground_z),)

@@ -15,7 +15,7 @@ from realsim.export.contact.planar import PlanarIsland, planar
 COARSE = 0.01  # metres
 UPRIGHT = 0.5  # most |z| of a side face's normal
 SHOULDER = 1.1  # metres above the ground up to which a robot meets side faces; rays from the side go up to 1 m
-BEHIND = 1.5  # cells behind a side face at which its solid is looked for
+BEHIND = (0.5, 1.5)  # cells behind a side face at which its solid is looked for: a wall may be thin
 HIDDEN = 0.001  # metres above the ground: what is lower is the ground
 
 
@@ -88,12 +88,13 @@ class Shape:
         cross, area, middle = cross[side], area[side], middle[side]
         grid = self._whole.grid
         inward = -cross[:, :2] / np.maximum(np.linalg.norm(cross[:, :2], axis=1, keepdims=True), 1e-15)
-        column, row = np.rint((middle[:, :2] + BEHIND * grid.cell * inward - grid.lower) / grid.cell).astype(int).T
         rows, columns = grid.top.shape[1:]
-        known = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
-        row, column = np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)
-        z = middle[:, 2]
-        solid = known & ((grid.top[:, row, column] > z) & (grid.bottom[:, row, column] < z)).any(0)
+        solid = np.zeros(len(middle), bool)
+        for far in BEHIND:
+            column, row = np.rint((middle[:, :2] + far * grid.cell * inward - grid.lower) / grid.cell).astype(int).T
+            known = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+            row, column, z = np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1), middle[:, 2]
+            solid |= known & ((grid.top[:, row, column] > z) & (grid.bottom[:, row, column] < z)).any(0)
         return float(area[solid].sum() / area.sum())
 
     @property
