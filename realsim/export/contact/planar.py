@@ -19,10 +19,10 @@ from realsim.export.contact.planes import SMALLEST, Window, from_corner, heights
 from realsim.export.contact.prisms import Prism
 
 F64 = NDArray[np.float64]
-DEPTH = 0.05  # metres that solids reach into the ground, and what carries a deck into that
+DEPTH = 0.05  # metres that solids reach into the ground
 THINNEST = 0.003  # metres
 THINNEST_DECK = 0.02  # metres
-COVER = 0.02  # metres below the top of a deck, at least, at which begins what carries it: out of reach of what lands
+COVER = 0.02  # metres below the top of a deck at which begins what carries it: out of reach of what lands on the deck
 LEDGE = 0.01  # metres that something reaches below a deck; less is the deck's own underside
 LOST = 0.02  # metres that a ledge lies off the plane beside it
 EDGE = 1.0  # cells by which outlines are simplified
@@ -121,7 +121,7 @@ def _decked(regions: list[_Region], of_top: NDArray[np.bool_], thick: F64) -> li
     if deck < THINNEST_DECK:
         return regions
     first = regions[0]
-    down, cover = np.array([0.0, 0.0, 1.0]), max(min(COVER, deck / 2), deck - DEPTH)
+    down, cover = np.array([0.0, 0.0, 1.0]), min(COVER, deck / 2)
     hanging = [r for r in regions if np.percentile(thick[r.here], 99) > deck + LEDGE]
     return [_Region(first.place, of_top, first.top, first.top - deck * down)] + [
         replace(r, top=r.top - cover * down, cover=cover) for r in hanging
