@@ -7,9 +7,12 @@ import numpy as np
 import pytest
 from manifold3d import Manifold, OpType
 
+from benchmarks.contact.clean_meshes import grid_mesh
+from realsim.core.types import MeshQuality, TerrainMesh
 from realsim.export.config import SceneConfig
 from realsim.export.contact.base import ContactModel, Geom, floor_plane
 from realsim.export.contact.boxes import boxes
+from realsim.export.contact.merge import Whole, merged
 from realsim.export.contact.polytope import Polytope
 from realsim.export.contact.prisms import as_contact
 from realsim.export.contact.probe import spec_of
@@ -93,6 +96,60 @@ def test_a_seam_that_is_longer_on_both_sides_gets_a_part() -> None:
     ]
     contact = overlap(ContactModel("boxes", (floor_plane(0.0), *crosswise)))
     assert not open_seams(parts_of(contact)[0])
+
+
+def test_pieces_of_a_convex_solid_are_one_part_and_a_dent_stays() -> None:
+    """However it was cut: the hull of the pieces adds nothing. Over a gap, and in a corner, it would."""
+    rings = [[[a * w, b * w, z] for a in (-1, 1) for b in (-1, 1)] for w, z in ((0.3, 0.0), (0.15, 0.25))]
+    pieces = [Manifold.hull_points(np.concatenate(rings))]
+    for way, off in (([1, 0.3, 0], 0.05), ([0, 1, 0.2], -0.02), ([0.2, 0, 1], 0.12)):
+        pieces = [half for piece in pieces for half in piece.split_by_plane(way, off) if not half.is_empty()]
+    parts = [Polytope(np.asarray(p.to_mesh64().vert_properties)[:, :3]) for p in pieces]
+    assert len(parts) == 8
+    (left,) = [p for p in merged(parts, Whole(parts, [])) if p is not None]
+    assert len(left.points) == 8
+    np.testing.assert_allclose([left.lower, left.upper], [[-0.3, -0.3, 0], [0.3, 0.3, 0.25]], atol=1e-6)
+    for other in ((0.43, 0.2, 0.2), (0.4, 0.2, 0.3)):  # x of the middle, half its length, height
+        x, half, high = other
+        two = [
+            Geom("a", "box", (0, 0, 0.1), size=(0.2, 0.3, 0.1)),
+            Geom("b", "box", (x, 0, high / 2), size=(half, 0.3, high / 2)),
+        ]
+        parts = [Polytope.of_box(g) for g in two]
+        assert merged(parts, Whole(parts, [])) == parts
+
+
+def test_solids_that_cross_need_no_part_between_them() -> None:
+    """Where a beam goes through a board, each pushes what gets in to its own free side."""
+    crossed = [
+        Geom("board", "box", (0, 0, 0.3), size=(0.3, 0.3, 0.06)),
+        Geom("beam", "box", (0, 0, 0.3), quat=(0.924, 0.0, 0.383, 0.0), size=(0.06, 0.05, 0.5)),
+    ]
+    contact = overlap(ContactModel("boxes", (floor_plane(0.0), *crossed)))
+    assert contact.statistics["seams"] == 0
+    beside = np.column_stack([np.linspace(-0.25, 0.25, 21), np.full(21, 0.061), np.full(21, 0.36)])
+    np.testing.assert_allclose(settled(contact, beside, False), 0.37, atol=1e-3)
+
+
+def test_low_facets_of_a_hill_are_there() -> None:
+    """Each is a speck for itself; together they are the foot of the hill."""
+    vertices, triangles = grid_mesh(lambda x, y: 0.08 * np.exp(-(x**2 + y**2) / 0.12), 1.3, 26)
+    quality = MeshQuality(len(vertices), len(triangles), False, True, 0, 0, 1, None)
+    mesh = TerrainMesh(vertices, triangles.astype(np.int32), None, np.zeros(len(triangles), bool), quality, "", 0.0)
+    parts, floor = parts_of(boxes(Shape(mesh, 0.0), CONFIG))
+    risen = vertices[(vertices[:, 2] > 0.012) & (np.abs(vertices[:, :2]) < 0.6).all(1)]
+    assert Whole(parts, floor).holds(risen - [0, 0, 0.008], 0.0)
+
+
+def test_a_bin_has_its_thin_walls() -> None:
+    """8 mm are less than two columns of a large terrain; a small exact mesh has finer ones."""
+    solid = block(0, 0, 0.24, 0.2, 0.09, 0.0) - block(0, 0, 0.224, 0.184, 0.2, 0.004)
+    parts = parts_of(boxes(Shape(with_floor(solid, 0.0), 0.0), CONFIG))[0]
+    assert len(parts) == 4
+    around = [[a * 0.116, b * 0.07, 0.085] for a in (-1, 1) for b in (-1, 0, 1)]
+    around += [[a * 0.08, b * 0.096, 0.085] for a in (-1, 0, 1) for b in (-1, 1)]
+    assert Whole(parts, []).holds(np.array(around), 0.0)
+    assert not Whole(parts, []).holds(np.array([[0.0, 0.0, 0.05]]), 0.01)
 
 
 @pytest.mark.parametrize("name", ["stairs", "stakes", "wedges"])
