@@ -85,10 +85,11 @@ def changed_since(
         free_starts(simulator, comparison)
         earlier = Screen(simulator, comparison, pair.before, config.effects, tick)
         common = select(earlier, Fitter(earlier), config, tick)
-        shared = common.nominal if imitates(common.fit) else common.fit  # what imitates would hide a change
+        # Of what only imitates both logs may have as much as they like; a robot that has it would hide a change.
+        shared = common.nominal if imitates(common.fit) else common.fit
         simulator.begin_from(shared.settings())
         screen = Screen(simulator, comparison, fitted, config.effects, tick, since=True)
-        _loosen(screen, shared)
+        _loosen(screen, common.fit, shared is common.fit)
         found = select(screen, Fitter(screen), config, tick)
         fit, notes = found.fit, list(found.notes)
         if doubts := [d for c, sigmas in _with_errors(fit) if (d := _doubt(c, sigmas))]:
@@ -112,11 +113,13 @@ def changed_since(
         return Since(verdict, said, tuple(changes), tuple(map(tuple, others)), statistics, (*pair.notes, *notes))
 
 
-def _loosen(screen: Screen, shared: Fit) -> None:
-    """Let the values that both logs share move by what the earlier log alone left open."""
+def _loosen(screen: Screen, shared: Fit, there: bool) -> None:
+    """Let the values that both logs share move by what the earlier log alone left open; where they are not `there`, in
+    every simulation, from none."""
     for cause, sigmas in _with_errors(shared):
         c = cause.candidate
-        for p, sigma in zip(c.parameters, sigmas, strict=True):
+        for p, value, error in zip(c.parameters, cause.values, sigmas, strict=True):
+            sigma = error if there else error + abs(value - p.default)
             for i in screen.atoms_of(type(c)(c.effect, c.places, (p,), c.directions, ())):
                 screen.prior[i] = max(screen.prior[i], SHARED_STEPS * sigma)
 
