@@ -20,10 +20,22 @@ ALSO = {"core": set(), "gap": {"report", "robots"}, "export": {"robots"}}
 
 
 @cache
+def nodes(path: Path) -> list[ast.AST]:
+    """What the tests look at: imports, blocks for type checkers, and errors that name an extra."""
+    return [
+        node
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Import | ast.ImportFrom)
+        or (isinstance(node, ast.If) and getattr(node.test, "id", "") == "TYPE_CHECKING")
+        or (isinstance(node, ast.Call) and getattr(node.func, "id", "") == "MissingExtraError")
+    ]
+
+
+@cache
 def imported(path: Path) -> set[str]:
     """Absolute module names that a file imports, anywhere in it."""
     names: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in nodes(path):
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
@@ -71,8 +83,8 @@ def bound(path: Path) -> set[str]:
 def imported_at_once(path: Path) -> set[str]:
     """First parts of the module names that a file imports at its top level."""
     names: set[str] = set()
-    for node in ast.parse(path.read_text()).body:
-        if isinstance(node, ast.Import | ast.ImportFrom):
+    for node in nodes(path):
+        if isinstance(node, ast.Import | ast.ImportFrom) and node.col_offset == 0:
             names |= {a.name for a in node.names} if isinstance(node, ast.Import) else {node.module or ""}
     return {name.split(".")[0] for name in names}
 
@@ -95,8 +107,8 @@ def test_every_extra_that_a_message_names_exists() -> None:
         node.args[1]
         for package in ("realsim", "trainer")
         for path in (ROOT / package).rglob("*.py")
-        for node in ast.walk(ast.parse(path.read_text()))
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "MissingExtraError"
+        for node in nodes(path)
+        if isinstance(node, ast.Call)
     ]
     assert {arg.value for arg in named if isinstance(arg, ast.Constant)} <= set(extras)
     assert len(named) > 5
@@ -133,11 +145,10 @@ def modules() -> dict[str, Path]:
 
 def needed(name: str) -> set[str]:
     """Modules of the project that a module imports anywhere in its file, blocks for type checkers aside."""
-    tree = ast.parse(modules()[name].read_text())
-    typing = [n for n in ast.walk(tree) if isinstance(n, ast.If) and ast.unparse(n.test) == "TYPE_CHECKING"]
-    skipped = {id(inner) for block in typing for inner in ast.walk(block)}
+    found = nodes(modules()[name])
+    skipped = {id(inner) for block in found if isinstance(block, ast.If) for inner in ast.walk(block)}
     names: set[str] = set()
-    for node in (n for n in ast.walk(tree) if id(n) not in skipped):
+    for node in (n for n in found if id(n) not in skipped):
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch", reason="the trainer needs torch")
-pytest.importorskip("mujoco_warp", reason="the GPU engine needs mujoco-warp")
 
 import mujoco  # noqa: E402
 
@@ -21,6 +21,7 @@ from trainer.robots import ROBOTS  # noqa: E402
 
 WORLDS = 4
 LANDS = [terrains.generate("stakes", 0.3, 0), terrains.generate("wedges", 0.5, 0)]
+pytestmark = pytest.mark.skipif(find_spec("mujoco_warp") is None, reason="the GPU engine needs mujoco-warp")
 compiles = pytest.mark.skipif(
     not os.environ.get("REALSIM_SLOW"),
     reason="compiling MuJoCo Warp for the CPU takes half a minute a robot: set REALSIM_SLOW=1",

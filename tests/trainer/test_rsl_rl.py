@@ -1,20 +1,14 @@
 """rsl_rl behind the hook: one update of its PPO is one of ours."""
-# ruff: noqa: E402 - what may be absent is imported after it is known to be there
+# ruff: noqa: E402 - what may be absent is imported after it is known to be there, and what is slow where it is used
 
 from __future__ import annotations
 
 from dataclasses import replace
+from importlib.util import find_spec
 
 import pytest
 
 torch = pytest.importorskip("torch", reason="the trainer needs torch (extra: train)")
-pytest.importorskip("rsl_rl", reason="rsl-rl-lib is not installed (extra: rsl_rl)")
-pytest.importorskip("tensordict", reason="rsl-rl-lib is not installed (extra: rsl_rl)")
-
-from rsl_rl.algorithms import PPO as RslPPO
-from rsl_rl.models import MLPModel
-from rsl_rl.storage import RolloutStorage
-from tensordict import TensorDict
 
 from tests.trainer.test_losses import _Mirror
 from tests.trainer.test_ppo import CONFIG, CPU, SMALL
@@ -24,8 +18,8 @@ from trainer.ppo import policy as policies
 from trainer.ppo.runner import Runner
 from trainer.ppo.symmetry import SymmetryLoss
 from trainer.trainers import find
-from trainer.trainers.rsl_rl import build
 
+pytestmark = pytest.mark.skipif(find_spec("rsl_rl") is None, reason="rsl-rl-lib is not installed (extra: rsl-rl)")
 ONE = replace(CONFIG, steps=8, epochs=2, minibatches=1, entropy_weight=0.01, critic_rate=None, std_limits=(2.0, 2.0))
 
 
@@ -44,8 +38,13 @@ class _Blind(PointMass):
         return replace(super().reset(), depth=None)
 
 
-def theirs(runner: Runner) -> RslPPO:
+def theirs(runner: Runner):
     """rsl_rl's own networks with our weights, its storage with our samples."""
+    from rsl_rl.algorithms import PPO as RslPPO
+    from rsl_rl.models import MLPModel
+    from rsl_rl.storage import RolloutStorage
+    from tensordict import TensorDict
+
     env, net = runner.env, SMALL
     groups = {"actor": torch.zeros(env.num_worlds, 2), "critic": torch.zeros(env.num_worlds, 3)}
     obs = TensorDict(groups, batch_size=[env.num_worlds])
@@ -66,6 +65,8 @@ def theirs(runner: Runner) -> RslPPO:
 
 
 def test_one_update_is_the_same() -> None:
+    from tensordict import TensorDict
+
     env = _Blind(64)
     runner = Runner(env, policies.new(env.layout, SMALL, "toy", 0), ONE, rank=CPU)
     runner.begin()
@@ -83,8 +84,8 @@ def test_one_update_is_the_same() -> None:
     ):
         getattr(storage, name).copy_(value)
     storage.distribution_params = (ours.mean, ours.log_std.exp().expand_as(ours.mean))
-    last = TensorDict({"actor": runner.observation.actor, "critic": runner.observation.critic}, batch_size=[64])
-    other.compute_returns(last)
+    last = {"actor": runner.observation.actor, "critic": runner.observation.critic}
+    other.compute_returns(TensorDict(last, batch_size=[64]))
     assert torch.allclose(storage.returns.squeeze(-1), ours.returns, atol=1e-5)
     assert torch.allclose(storage.advantages.squeeze(-1), ours.advantage, atol=1e-5)
     other.update()
@@ -102,6 +103,8 @@ def test_one_update_is_the_same() -> None:
 
 
 def test_it_trains_our_networks_with_depth(capsys: pytest.CaptureFixture[str]) -> None:
+    from trainer.trainers.rsl_rl import build
+
     env = PointMass(64)
     policy = policies.new(env.layout, SMALL, "toy", 0)
     before = {k: v.clone() for k, v in policy.actor.state_dict().items()}
@@ -118,6 +121,8 @@ def test_it_trains_our_networks_with_depth(capsys: pytest.CaptureFixture[str]) -
 
 
 def test_mirror_samples_and_the_mirrors_loss_make_its_policy_more_symmetric() -> None:
+    from trainer.trainers.rsl_rl import build
+
     def asymmetry(kind) -> float:
         env = PointMass(64)
         policy = policies.new(env.layout, SMALL, "toy", 0)
