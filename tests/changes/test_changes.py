@@ -11,8 +11,6 @@ from realsim.changes import Changes, Surface, compare
 from realsim.core.errors import RealsimError
 from realsim.core.geometry import exp_so3, make_T, transform
 
-PITCH = 0.01
-
 
 @dataclass(frozen=True)
 class Thing:
@@ -39,13 +37,13 @@ class Place:
         return z
 
 
-def scan(place: Place, seed: int, noise: float = 0.002) -> Surface:
+def scan(place: Place, seed: int, noise: float = 0.002, pitch: float = 0.01) -> Surface:
     """A surface of 3 x 2 m as a reconstruction has it: rounded, uneven by 2 mm over some centimetres, partly unseen."""
     from scipy.ndimage import gaussian_filter
 
     rng = np.random.default_rng(seed)
-    xs, ys = np.arange(-1.5, 1.5, PITCH), np.arange(-1.0, 1.0, PITCH)
-    jitter = rng.uniform(-0.5, 0.5, 2) * PITCH
+    xs, ys = np.arange(-1.5, 1.5, pitch), np.arange(-1.0, 1.0, pitch)
+    jitter = rng.uniform(-0.5, 0.5, 2) * pitch
     x, y = np.meshgrid(xs + jitter[0], ys + jitter[1], indexing="ij")
     uneven = gaussian_filter(rng.normal(size=x.shape), 2.0)
     z = gaussian_filter(place.height(x, y), 0.6) + noise * uneven / uneven.std()
@@ -82,9 +80,8 @@ def kinds(changes: Changes) -> list[str]:
     return sorted(change.kind for change in changes.objects)
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_a_repeat_has_no_changes(seed):
-    changes = compare(scan(room(seed), 2 * seed), scan(room(seed), 2 * seed + 1))
+def test_a_repeat_has_no_changes():
+    changes = compare(scan(room(0), 0), scan(room(0), 1))
     assert changes.objects == ()
     assert changes.compared_m2 > 4
     assert changes.noise_m < 0.006
@@ -116,9 +113,9 @@ def altered(seed: int) -> tuple[Place, list[str]]:
 
 
 def test_what_changed_is_found():
-    """F1 over three rooms, a change counting only by its right name."""
+    """F1 over two rooms, a change counting only by its right name."""
     hits = false = missed = 0
-    for seed in range(3):
+    for seed in range(2):
         today, expected = altered(seed)
         found = kinds(compare(scan(room(seed), 100 + seed), scan(today, 200 + seed)))
         right = sum(min(found.count(kind), expected.count(kind)) for kind in set(expected))
@@ -140,7 +137,7 @@ def test_figures_of_a_move():
 def test_another_place_is_refused():
     rng = np.random.default_rng(1)
     hills = Place([Thing(*rng.uniform(-1, 1, 2), *rng.uniform(0.5, 1.5, 2), rng.uniform(0.2, 1.2)) for _ in range(9)])
-    V, F = scan(hills, 1)
+    V, F = scan(hills, 1, pitch=0.03)
     steep = np.column_stack([V[:, :2], V[:, 2] + 0.7 * V[:, 0] ** 2 + np.sin(9 * V[:, 1])])
     with pytest.raises(RealsimError, match="laid over"):
-        compare(scan(room(0), 1), (steep, F))
+        compare(scan(room(0), 1, pitch=0.03), (steep, F))
