@@ -57,7 +57,9 @@ def root(tmp_path: Path) -> Path:
 
 
 @pytest.mark.slow
-def test_a_scene_from_a_mesh_with_progress_and_its_report(root: Path) -> None:
+def test_a_scene_from_a_mesh_with_progress_and_a_diagnosis_with_their_reports(root: Path) -> None:
+    make_case(root / "case", ARM, Truth(), runs=3, seed=1, span=(1.0, 1.2))
+
     async def conversation(client: Any) -> None:
         tools = (await client.list_tools()).tools
         assert {tool.name for tool in tools} == TOOLS
@@ -82,19 +84,11 @@ def test_a_scene_from_a_mesh_with_progress_and_its_report(root: Path) -> None:
         wrong = await client.call_tool("export", {"scenes": "scene", "to": "--overwrite"})
         assert wrong.is_error
         assert "unknown" in text(wrong)
-
-    talk([root], conversation)
-
-
-@pytest.mark.slow
-def test_a_diagnosis_and_a_check(root: Path) -> None:
-    make_case(root / "case", ARM, Truth(), runs=3, seed=1, span=(1.0, 1.2))
-
-    async def conversation(client: Any) -> None:
         assert good(await client.call_tool("diagnose", {"cases": "case", "check": True}))["runs"]
         missing = await client.call_tool("diagnose", {"cases": "none"})
         assert "no such file" in text(missing)
-        found = good(await client.call_tool("diagnose", {"cases": "case", "out": "found", "max_causes": 1}))
+        few = {"max_causes": 1, "bootstrap": 20}
+        found = good(await client.call_tool("diagnose", {"cases": "case", "out": "found", **few}))
         assert found["verdict"] in ("no_gap", "identified", "ambiguous", "unexplained")
         assert "ranking" not in found
         report = good(await client.call_tool("report", {"folder": "found"}))
@@ -148,7 +142,7 @@ def test_nothing_outside_the_folders_is_read_or_written(root: Path) -> None:
 
 @pytest.mark.slow
 def test_a_call_that_is_given_up_ends_its_command(root: Path) -> None:
-    assert main(["synth", "--out", str(root / "synth"), "--frames", "16", "--width", "320", "--with-poses"]) == 0
+    assert main(["synth", "--out", str(root / "synth"), "--frames", "4", "--width", "160", "--with-poses"]) == 0
 
     def commands() -> list[int]:
         found = []

@@ -13,32 +13,33 @@ import pytest
 
 from realsim.core.errors import RealsimError
 from realsim.jobs import Job, ManyConfig, make_job, run_many
+from tests.gap.truth import ARM
 
 
 def items(tmp_path: Path) -> list[Job]:
-    """Two that fail with a message and one that works."""
-    bad = [Job(f"bad{i}", "inspect", (str(tmp_path / f"none{i}"),)) for i in range(2)]
-    out = str(tmp_path / "synth")
-    good = Job("good", "synth", ("--out", out, "--frames", "2", "--width", "80"), (out,))
-    return [bad[0], good, bad[1]]
+    """One that fails with a message and one that works."""
+    (tmp_path / "model.xml").write_text(ARM)
+    out = str(tmp_path / "case")
+    good = Job("good", "diagnose", ("--init", str(tmp_path / "model.xml"), "--out", out), (out,))
+    return [Job("bad", "inspect", (str(tmp_path / "none"),)), good]
 
 
 def check(tmp_path: Path, config: ManyConfig) -> None:
     outcomes = run_many(items(tmp_path), tmp_path / "jobs", config)
-    assert [o.name for o in outcomes] == ["bad0", "good", "bad1"]
-    assert [o.exit_code for o in outcomes] == [2, 0, 2]
-    assert "none0" in str(outcomes[0].result)
-    assert (tmp_path / "synth").is_dir()
-    before = (tmp_path / "synth" / "truth" / "truth.json").stat().st_mtime_ns
+    assert [o.name for o in outcomes] == ["bad", "good"]
+    assert [o.exit_code for o in outcomes] == [2, 0]
+    assert "none" in str(outcomes[0].result)
+    before = (tmp_path / "case" / "log.json").stat().st_mtime_ns
     again = run_many(items(tmp_path), tmp_path / "jobs", config)
-    assert [o.kept for o in again] == [False, True, False], "what failed is tried again, what is done is kept"
-    assert (tmp_path / "synth" / "truth" / "truth.json").stat().st_mtime_ns == before
+    assert [o.kept for o in again] == [False, True], "what failed is tried again, what is done is kept"
+    assert (tmp_path / "case" / "log.json").stat().st_mtime_ns == before
 
 
 def test_here(tmp_path: Path) -> None:
     check(tmp_path, ManyConfig(jobs=2))
 
 
+@pytest.mark.slow
 def test_as_a_slurm_array_run_by_submitits_local_executor(tmp_path: Path) -> None:
     pytest.importorskip("submitit", reason="extra `slurm` is not installed")
     check(tmp_path, ManyConfig(executor="slurm", slurm="cluster=local,timeout_min=5"))
@@ -50,7 +51,7 @@ def test_a_slurm_job_that_is_lost_is_a_failure_with_its_name(tmp_path: Path) -> 
     pytest.importorskip("submitit", reason="extra `slurm` is not installed")
     job = replace(items(tmp_path)[0], cwd=str(tmp_path / "not_on_that_machine"))
     (outcome,) = run_many([job], tmp_path, ManyConfig(executor="slurm", slurm="cluster=local"))
-    assert (outcome.name, outcome.exit_code, outcome.result["error"]) == ("bad0", 1, "Crash")
+    assert (outcome.name, outcome.exit_code, outcome.result["error"]) == ("bad", 1, "Crash")
     assert "not_on_that_machine" in outcome.result["message"]
 
 
@@ -144,21 +145,22 @@ def test_the_command_of_a_killed_process_ends_with_it(tmp_path: Path) -> None:
 
 
 def test_an_output_that_is_there_fails_its_item_alone_and_stays(tmp_path: Path) -> None:
-    jobs = items(tmp_path)
-    (tmp_path / "synth").mkdir()
-    (tmp_path / "synth" / "mine.txt").write_text("precious")
-    outcomes = run_many(jobs, tmp_path / "jobs", ManyConfig(jobs=2))
-    assert [o.exit_code for o in outcomes] == [2, 2, 2]
-    assert "not empty" in outcomes[1].result["message"]
-    forced = replace(jobs[1], arguments=(*jobs[1].arguments, "--overwrite"))
+    (bad, good), mine = items(tmp_path), tmp_path / "case" / "mine.txt"
+    mine.parent.mkdir()
+    mine.write_text("precious")
+    outcomes = run_many([good, bad], tmp_path / "jobs", ManyConfig(jobs=2))
+    assert [o.exit_code for o in outcomes] == [2, 2]
+    assert "not empty" in outcomes[0].result["message"]
+    forced = replace(good, arguments=(*good.arguments, "--overwrite"))
     (outcome,) = run_many([forced], tmp_path / "jobs")
     assert "did not write" in outcome.result["message"]
-    assert (tmp_path / "synth" / "mine.txt").read_text() == "precious"
+    assert mine.read_text() == "precious"
 
 
 def test_a_job_after_a_lost_one_may_replace_what_that_left(tmp_path: Path) -> None:
     """The machine went down between the output and the note that it is done."""
-    job = items(tmp_path)[1]
+    out = str(tmp_path / "synth")
+    job = Job("good", "synth", ("--out", out, "--frames", "2", "--width", "80"), (out,))
     (outcome,) = run_many([job], tmp_path / "jobs")
     result = tmp_path / "jobs" / job.key / "result.json"
     result.unlink()

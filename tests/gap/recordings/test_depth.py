@@ -14,7 +14,6 @@ from realsim.cli.command_line import main
 from realsim.core.errors import GapError
 from realsim.gap.case.case import load_case
 from realsim.gap.checks.camera.recorded import depth_camera, read_frames
-from realsim.gap.checks.footholds.run import check_camera
 from realsim.gap.recordings import Window, load_target, propose, read, write_case
 from tests.truths.crossings import Truth, focal, make_case
 
@@ -93,9 +92,9 @@ def _walk(run: Path, names: list[str], feet: list[str], fx: float) -> list[Any]:
     return sorted(found, key=lambda m: m[3])
 
 
-def test_a_late_camera_is_found_in_a_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_walk_with_depth_is_read_from_a_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """From MCAP with depth, base pose, feet and joints, by the command, without hand work."""
-    made = make_case(tmp_path, Truth(camera_delay=0.04), crossings=2, terrain_seed=20, seed=20, depth=True, cycles=1)
+    made = make_case(tmp_path, Truth(), crossings=1, depth=True, cycles=1)
     case = load_case(made)
     said = json.loads((made / "log.json").read_text())
     bags = tmp_path / "bags"
@@ -117,10 +116,6 @@ def test_a_late_camera_is_found_in_a_bag(tmp_path: Path, capsys: pytest.CaptureF
         np.testing.assert_allclose(ours.time, data["depth_time"][inside], atol=1e-5)
         flat = data["depth"][inside].reshape(inside.sum(), -1)
         np.testing.assert_allclose(ours.depth, np.where(flat <= lens.far, flat, 0.0), atol=1e-6)
-    found = check_camera(again, tmp_path / "scene.xml")
-    assert found is not None
-    assert found.delay[0] == pytest.approx(0.04, abs=0.005)
-    assert set(found.named) == {"camera_delay"}
 
 
 def _arm_bag(path: Path, arm: Log, *, topics: tuple[str, ...] = ("/head/depth",), infos: bool = True) -> Path:
