@@ -152,58 +152,52 @@ def load_case(folder: Path, recordings: Sequence[Path] = ()) -> Case:
                 hint=f"make a case of recordings: realsim log {folder} --model robot.xml --out case; or of a model: "
                 "realsim diagnose --init robot.xml --out case",
             )  # fmt: skip
-    log = read_json(folder / "log.json")
+    file = folder / "log.json"
+    log = read_json(file)
     if not isinstance(log, dict):
-        raise GapError("log.json is not an object", file=folder / "log.json")
+        raise GapError("log.json is not an object", file=file)
     spec, model, xml = load_model(folder / "model.xml")
-    joints = _joints(log, model, folder)
-    actuators = _names(log, "actuator_names", folder)
-    _match(joints, [model.joint(i).name for i in range(model.njnt)], "joint", folder)
-    _match(actuators, [model.actuator(i).name for i in range(model.nu)], "actuator", folder)
+    said = _Entries(log, file)
+    base = said.choice("base", ("fixed", "floating"))
+    hinges = [model.joint(i).name for i in range(model.njnt) if model.jnt_type[i] in (2, 3)]
+    whole = base == "floating" and log.get("joint_names") == []  # a body that flies or rolls as a whole
+    if whole and hinges:
+        expected = f"those of {', '.join(hinges[:20])} that are logged"
+        raise GapError("joint_names is empty, but the model has joints", file=file, expected=expected, found="[]")
+    joints = [] if whole else said.names("joint_names", "joint", [model.joint(i).name for i in range(model.njnt)])
+    actuators = said.names("actuator_names", "actuator", [model.actuator(i).name for i in range(model.nu)])
     for name in joints:
-        if model.joint(name).type[0] not in (2, 3):
-            raise GapError(
-                f"joint {name!r} has more than one degree of freedom",
-                file=folder / "log.json",
-                expected="hinge or slide joints in joint_names",
-            )
-    warnings = _unread(log)
+        if name not in hinges:
+            expected = "hinge or slide joints in joint_names"
+            raise GapError(f"joint {name!r} has more than one degree of freedom", file=file, expected=expected)
     site = log.get("imu_site")
     if site is not None:
         if not isinstance(site, str):
-            raise GapError(
-                "imu_site cannot be read", file=folder / "log.json", expected="a name, or null", found=repr(site)[:60]
-            )
-        _match([site], [model.site(i).name for i in range(model.nsite)], "imu_site", folder)
-    contact = _names(log, "contact_bodies", folder) if log.get("contact_bodies") not in (None, []) else []
-    _match(contact, [model.body(i).name for i in range(model.nbody)], "contact body", folder)
-    kind = _choice(log, "command_kind", ("position", "velocity", "torque"), folder)
-    base = _choice(log, "base", ("fixed", "floating"), folder)
-    torque = _choice(log, "torque_kind", ("none", "measured", "current_times_constant"), folder, default="none")
+            raise GapError("imu_site cannot be read", file=file, expected="a name, or null", found=repr(site)[:60])
+        said.match([site], "imu_site", [model.site(i).name for i in range(model.nsite)])
+    contact: list[str] = []
+    if log.get("contact_bodies") not in (None, []):
+        contact = said.names("contact_bodies", "contact body", [model.body(i).name for i in range(model.nbody)])
+    kind = said.choice("command_kind", ("position", "velocity", "torque"))
+    torque = said.choice("torque_kind", ("none", "measured", "current_times_constant"), "none")
     if log.get("command_hold", "zoh") != "zoh":
-        raise GapError("unknown command_hold", file=folder / "log.json", expected="zoh", found=str(log["command_hold"]))
+        raise GapError("unknown command_hold", file=file, expected="zoh", found=str(log["command_hold"]))
     free = bool(model.njnt and (model.jnt_type == 0).any())
     if (base == "floating") != free:
-        raise GapError(
-            "base does not agree with the model",
-            file=folder / "log.json",
-            expected=f"base: {'floating' if free else 'fixed'} (model.xml {'has' if free else 'has no'} free joint)",
-            found=base,
-        )
+        expected = f"base: {'floating' if free else 'fixed'} (model.xml {'has' if free else 'has no'} free joint)"
+        raise GapError("base does not agree with the model", file=file, expected=expected, found=base)
+    warnings = _unread(log)
     if model.ntendon:
         warnings.append(f"the model has {model.ntendon} tendons: they are simulated, but no effect acts on them")
     if model.neq:
         warnings.append(f"the model has {model.neq} equality constraints (closed loops): joints in them share causes")
-    unlogged = [model.joint(i).name for i in range(model.njnt) if model.jnt_type[i] in (2, 3)]
-    unlogged = [n for n in unlogged if n not in joints]
-    if unlogged:
+    if unlogged := [n for n in hinges if n not in joints]:
         warnings.append(f"joints of the model that are not logged start at their default: {', '.join(unlogged[:6])}")
-    said = log | {"command_kind": kind, "columns": _columns(log, folder)}
-    want = layout(joints, actuators, contact, model, said, folder / "log.json")
+    log |= {"command_kind": kind, "columns": _columns(log, folder)}
+    want = layout(joints, actuators, contact, model, log, file)
     runs, dropped = _read_runs(folder / "runs", want, warnings)
     for name in sorted(set(want.setups) - {d.partition(".")[0] for d in dropped}):
-        message = f"runs of log.json name {name!r}, which is no run"
-        refuse_unknown(name, [r.name for r in runs], message, folder / "log.json")
+        refuse_unknown(name, [r.name for r in runs], f"runs of log.json name {name!r}, which is no run", file)
     added = read_recordings(recordings, want, model, [r.name for r in runs], warnings)
     runs += added
     if len(runs) == 1:
@@ -212,6 +206,36 @@ def load_case(folder: Path, recordings: Sequence[Path] = ()) -> Case:
         folder, tuple(joints), tuple(actuators), kind, base, torque, site, tuple(contact), str(log.get("notes", "")),
         xml, spec, model, runs, tuple(warnings), dropped, tuple(r.name for r in added),
     )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Entries:
+    """The entries of log.json; what cannot be read is refused."""
+
+    log: Mapping[str, Any]
+    file: Path
+
+    def names(self, key: str, kind: str, known: Sequence[str]) -> list[str]:
+        """A list of names, each once, of parts of the model."""
+        value = self.log.get(key)
+        if not isinstance(value, list) or not value or not all(isinstance(v, str) for v in value):
+            message = f"{key} {'is missing' if value is None else 'cannot be read'}"
+            raise GapError(message, file=self.file, expected="a list of names", found=repr(value)[:60])
+        if len(set(value)) != len(value):
+            raise GapError(f"{key} names something twice", file=self.file, found=", ".join(value))
+        self.match(value, kind, known)
+        return value
+
+    def match(self, names: Sequence[str], kind: str, known: Sequence[str]) -> None:
+        for name in names:
+            refuse_unknown(name, known, f"{kind} {name!r} is not in model.xml", self.file)
+
+    def choice(self, key: str, allowed: Sequence[str], default: str | None = None) -> str:
+        value = self.log.get(key, default)
+        if value not in allowed:
+            expected = " or ".join(allowed)
+            raise GapError(f"{key} is not known", file=self.file, expected=expected, found=repr(value)[:60])
+        return str(value)
 
 
 def _unread(log: Mapping[str, Any]) -> list[str]:
@@ -266,63 +290,13 @@ def load_model(path: Path) -> tuple[Any, Any, str]:
     """(MjSpec resolved, MjModel, text) of an MJCF file that is safe to read. Raises GapError with the reason."""
     spec, model, text = load_mjcf(path, path.parent, resolve)
     if not LEAST_TIMESTEP <= model.opt.timestep <= 0.1:
-        raise GapError(
-            "the model's time step cannot be simulated",
-            file=path,
-            expected=f"timestep from {LEAST_TIMESTEP:g} to 0.1 s",
-            found=f"{model.opt.timestep:g}",
-        )
+        expected, found = f"timestep from {LEAST_TIMESTEP:g} to 0.1 s", f"{model.opt.timestep:g}"
+        raise GapError("the model's time step cannot be simulated", file=path, expected=expected, found=found)
     if model.ngeom > MOST_GEOMS or model.nbody > MOST_GEOMS:
         raise GapError(
-            "the model is too large for a diagnosis",
-            file=path,
-            expected=f"at most {MOST_GEOMS} bodies and geoms",
-            found=f"{model.nbody} bodies, {model.ngeom} geoms",
-            hint="leave out geoms that never touch anything",
-        )
+            "the model is too large for a diagnosis", file=path, expected=f"at most {MOST_GEOMS} bodies and geoms",
+            found=f"{model.nbody} bodies, {model.ngeom} geoms", hint="leave out geoms that never touch anything",
+        )  # fmt: skip
     if model.nu == 0:
         raise GapError("the model has no actuators", file=path, expected="the robot's servos as actuators")
     return spec, model, text
-
-
-def _names(log: dict[str, Any], key: str, folder: Path) -> list[str]:
-    value = log.get(key)
-    if not isinstance(value, list) or not value or not all(isinstance(v, str) for v in value):
-        raise GapError(
-            f"{key} {'is missing' if value is None else 'cannot be read'}",
-            file=folder / "log.json",
-            expected="a list of names",
-            found=repr(value)[:60],
-        )
-    if len(set(value)) != len(value):
-        raise GapError(f"{key} names something twice", file=folder / "log.json", found=", ".join(value))
-    return value
-
-
-def _joints(log: dict[str, Any], model: Any, folder: Path) -> list[str]:
-    """The logged joints: none of a body that flies or rolls as a whole."""
-    if log.get("joint_names") != [] or log.get("base") != "floating":
-        return _names(log, "joint_names", folder)
-    turning = [model.joint(i).name for i in range(model.njnt) if model.jnt_type[i] in (2, 3)]
-    if turning:
-        raise GapError(
-            "joint_names is empty, but the model has joints",
-            file=folder / "log.json",
-            expected=f"those of {', '.join(turning[:20])} that are logged",
-            found="[]",
-        )
-    return []
-
-
-def _match(names: list[str], known: list[str], kind: str, folder: Path) -> None:
-    for name in names:
-        refuse_unknown(name, known, f"{kind} {name!r} is not in model.xml", folder / "log.json")
-
-
-def _choice(log: dict[str, Any], key: str, allowed: tuple[str, ...], folder: Path, default: str | None = None) -> str:
-    value = log.get(key, default)
-    if value not in allowed:
-        raise GapError(
-            f"{key} is not known", file=folder / "log.json", expected=" or ".join(allowed), found=repr(value)[:60]
-        )
-    return str(value)

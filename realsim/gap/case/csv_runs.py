@@ -45,102 +45,77 @@ def read_csv(
         GapError: for a column that is not in the file (the closest ones are named), or a cell that is no number.
     """
     table = _table(path, warnings)
-    header = list(table)
-    wanted = _from_map(path, columns, names, header) if columns is not None else _by_name(header, names)
+    if columns is None:  # arrays all of whose columns have the contract's own names
+        own = {array: [array if array == "time" else f"{array}_{n}" for n in labels] for array, labels in names.items()}
+        always = ("time", "command", "joint_pos")
+        wanted = {
+            a: [{"column": c} for c in cs] for a, cs in own.items() if cs and (a in always or set(cs) & set(table))
+        }
+    elif isinstance(columns, Mapping):
+        wanted = {array: _entries(path, array, given, names, list(table)) for array, given in columns.items()}
+    else:
+        expected = '{"time": "t", "joint_pos": ["q1", "q2"]}'
+        raise GapError("the column map is not an object", file=path, expected=expected)
     found = {}
     for array, entries in wanted.items():
         parts = []
         for entry in entries:
-            scale = float(entry.get("sign", 1))
+            name, scale = entry["column"], float(entry.get("sign", 1))
             if "unit" in entry:
                 scale *= unit_factor(array, str(entry["unit"]), command_kind, path)
-            parts.append(scale * _column(path, array, str(entry["column"]), table))
+            if name not in table:
+                hints = [did_you_mean(name, table), "columns.json beside log.json maps names"]
+                raise GapError(
+                    f"column {name!r} of {array} is not in the file", file=path,
+                    expected=f"one of {', '.join(list(table)[:40])}", hint=" ".join(filter(None, hints)),
+                )  # fmt: skip
+            parts.append(scale * table[name])
         found[array] = parts[0] if array == "time" else np.stack(parts, axis=1)
     return found
 
 
-def _by_name(header: Sequence[str], names: Mapping[str, Sequence[str]]) -> dict[str, list[dict[str, Any]]]:
-    """Arrays all of whose columns have the contract's own names."""
-    own = {array: [array if array == "time" else f"{array}_{n}" for n in labels] for array, labels in names.items()}
-    partly = {a: cs for a, cs in own.items() if cs and (a in ("time", "command", "joint_pos") or set(cs) & set(header))}
-    return {array: [{"column": c} for c in cs] for array, cs in partly.items()}
+def _entries(
+    path: Path, array: str, given: Any, names: Mapping[str, Sequence[str]], header: Sequence[str]
+) -> list[dict[str, Any]]:
+    """What the map has for one array as {column, unit, sign} for each of its columns.
 
-
-def _from_map(
-    path: Path, columns: Mapping[str, Any], names: Mapping[str, Sequence[str]], header: Sequence[str]
-) -> dict[str, list[dict[str, Any]]]:
-    """Every array of the map as a list of entries {column, unit, sign}."""
-    if not isinstance(columns, Mapping):
-        raise GapError(
-            "the column map is not an object", file=path, expected='{"time": "t", "joint_pos": ["q1", "q2"]}'
-        )
-    result = {}
-    for array, said in columns.items():
-        refuse_unknown(array, names, f"the column map names {array!r}, which is no array of a log", path)
-        entries = [item for entry in _entries(path, array, said) for item in _items(entry, header)]
-        if len(entries) != len(names[array]):
-            raise GapError(
-                f"the column map gives {array} the wrong number of columns",
-                file=path,
-                expected=f"{len(names[array])}: {', '.join(names[array]) or 'none, log.json names no such parts'}",
-                found=str(len(entries)),
-            )
-        result[array] = entries
-    return result
-
-
-def _entries(path: Path, array: str, said: Any) -> list[dict[str, Any]]:
-    """What the map says of one array: a name, an entry, a list of these, or {columns, unit, sign} for all at once."""
+    Args:
+        given: a name, an entry, a list of these, or {columns, unit, sign} for all at once.
+    """
+    refuse_unknown(array, names, f"the column map names {array!r}, which is no array of a log", path)
     shared: dict[str, Any] = {}
-    listed = said if isinstance(said, list) else [said]
-    if isinstance(said, Mapping) and "columns" in said:
-        _check_entry(path, array, said, _SHARED)
-        shared = {k: v for k, v in said.items() if k != "columns"}
-        listed = said["columns"] if isinstance(said["columns"], list) else [said["columns"]]
+    if isinstance(given, Mapping) and "columns" in given:
+        _check_entry(path, array, given, _SHARED)
+        shared = {k: v for k, v in given.items() if k != "columns"}
+        given = given["columns"]
     entries = []
-    for item in listed:
+    for item in given if isinstance(given, list) else [given]:
         entry = {"column": item} if isinstance(item, str) else item
         if not isinstance(entry, Mapping) or not isinstance(entry.get("column"), str):
             raise GapError(
-                f"the column map of {array} cannot be read",
-                file=path,
+                f"the column map of {array} cannot be read", file=path, found=repr(item)[:80],
                 expected='a column name, {"column": NAME, "unit": UNIT, "sign": 1 or -1}, or a list of these',
-                found=repr(item)[:80],
-            )
+            )  # fmt: skip
         _check_entry(path, array, entry, _ENTRY)
-        entries.append({**shared, **entry})
+        # Of a column whose cells hold lists, one for each item of these.
+        items = [h for h in header if h.startswith(f"{entry['column']}[") and h.endswith("]")]
+        found = items if items and entry["column"] not in header else [entry["column"]]
+        entries += [{**shared, **entry, "column": column} for column in found]
+    if len(entries) != len(names[array]):
+        raise GapError(
+            f"the column map gives {array} the wrong number of columns", file=path, found=str(len(entries)),
+            expected=f"{len(names[array])}: {', '.join(names[array]) or 'none, log.json names no such parts'}",
+        )  # fmt: skip
     return entries
-
-
-def _items(entry: dict[str, Any], header: Sequence[str]) -> list[dict[str, Any]]:
-    """The entry itself; of a column whose cells hold lists, one for each item of these."""
-    name = str(entry["column"])
-    if name in header:
-        return [entry]
-    return [entry | {"column": h} for h in header if h.startswith(f"{name}[") and h.endswith("]")] or [entry]
 
 
 def _check_entry(path: Path, array: str, entry: Mapping[str, Any], known: Sequence[str]) -> None:
     odd = [k for k in entry if k not in known]
     if odd or entry.get("sign", 1) not in (1, -1):
         raise GapError(
-            f"the column map of {array} has unknown entries",
-            file=path,
-            expected=f"only {', '.join(known)}; sign is 1 or -1",
-            found=repr(dict(entry))[:80],
-            hint=did_you_mean(odd[0], known) if odd else None,
-        )
-
-
-def _column(path: Path, array: str, column: str, table: Mapping[str, F64]) -> F64:
-    if column not in table:
-        raise GapError(
-            f"column {column!r} of {array} is not in the file",
-            file=path,
-            expected=f"one of {', '.join(list(table)[:40])}",
-            hint=" ".join(filter(None, [did_you_mean(column, table), "columns.json beside log.json maps names"])),
-        )
-    return table[column]
+            f"the column map of {array} has unknown entries", file=path, found=repr(dict(entry))[:80],
+            expected=f"only {', '.join(known)}; sign is 1 or -1", hint=did_you_mean(odd[0], known) if odd else None,
+        )  # fmt: skip
 
 
 def _table(path: Path, warnings: list[str]) -> dict[str, F64]:
@@ -148,17 +123,12 @@ def _table(path: Path, warnings: list[str]) -> dict[str, F64]:
     read = read_text_table(path)
     if not read.header:
         raise GapError("the file has no header", file=path, expected="names of the columns in the first line")
-    # Text columns (a mode, a note) are borne; they are refused by name only if the map asks for them.
+    # Text columns (a mode, a note) are borne; they are refused by name only if the map wants them.
     for name, (cell, row) in read.odd.items():
-        raise GapError(
-            f"column {name!r} holds text among numbers",
-            file=path,
-            found=f"{cell!r} in row {row}",
-            hint="leave a missing value empty",
-        )
-    columns = read.columns
-    if not columns:
+        message, found = f"column {name!r} holds text among numbers", f"{cell!r} in row {row}"
+        raise GapError(message, file=path, found=found, hint="leave a missing value empty")
+    if not read.columns:
         raise GapError("the file has no samples", file=path, expected="a header and one row per sample")
     warnings += read.notes
-    items = {n: {n: v} if v.ndim == 1 else {f"{n}[{k}]": c for k, c in enumerate(v.T)} for n, v in columns.items()}
+    items = {n: {n: v} if v.ndim == 1 else {f"{n}[{k}]": c for k, c in enumerate(v.T)} for n, v in read.columns.items()}
     return {name: column for found in items.values() for name, column in found.items()}

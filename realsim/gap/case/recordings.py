@@ -28,14 +28,10 @@ def read_recordings(
     found: list[Run] = []
     for file in (f for path in paths for f in _files(Path(path))):
         setups = read_setups(_setups(file), model, file.parent / PLAN)
-        here = replace(want, setups={**want.setups, **setups})
-        run = read_run(file, here, warnings)
+        run = read_run(file, replace(want, setups={**want.setups, **setups}), warnings)
         if run.name in {*known, *(r.name for r in found)}:
-            raise GapError(
-                f"there is a run {run.name!r} already",
-                file=file,
-                hint="give the file of the new recording another name",
-            )
+            hint = "give the file of the new recording another name"
+            raise GapError(f"there is a run {run.name!r} already", file=file, hint=hint)
         found.append(run)
     return tuple(found)
 
@@ -45,11 +41,8 @@ def _files(path: Path) -> list[Path]:
         below = path / RECORDED
         files = sorted(f for f in below.iterdir() if f.suffix in (".npz", ".csv")) if below.is_dir() else []
         if not files:
-            raise GapError(
-                "nothing was recorded yet",
-                file=below,
-                expected=".npz or .csv files, a run each, named as their commands",
-            )
+            expected = ".npz or .csv files, a run each, named as their commands"
+            raise GapError("nothing was recorded yet", file=below, expected=expected)
         return files
     if not path.is_file():
         raise GapError("no such recording", file=path, expected="a run as .npz or .csv, or a folder of realsim excite")
@@ -57,14 +50,12 @@ def _files(path: Path) -> list[Path]:
 
 
 def _setups(file: Path) -> Mapping[str, Any] | None:
-    """What experiment.json beside a recording (or one folder up) says of its runs' masses and gains."""
-    for folder in (file.parent, file.parent.parent):
-        if (folder / PLAN).is_file():
-            plan = read_json(folder / PLAN)
-            if not isinstance(plan, Mapping):
-                raise GapError(f"{PLAN} is not an object", file=folder / PLAN)
-            said = plan.get("runs")
-            if said is not None and not isinstance(said, Mapping):
-                raise GapError(f"runs of {PLAN} cannot be read", file=folder / PLAN, found=repr(said)[:60])
-            return said
-    return None
+    """What experiment.json beside a recording (or one folder up) has on its runs' masses and gains."""
+    plan = next((p for f in (file.parent, file.parent.parent) if (p := f / PLAN).is_file()), None)
+    content = {} if plan is None else read_json(plan)
+    if not isinstance(content, Mapping):
+        raise GapError(f"{PLAN} is not an object", file=plan)
+    runs = content.get("runs")
+    if runs is not None and not isinstance(runs, Mapping):
+        raise GapError(f"runs of {PLAN} cannot be read", file=plan, found=repr(runs)[:60])
+    return runs

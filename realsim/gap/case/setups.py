@@ -29,55 +29,46 @@ class Setup:
     """Whether the run is of the later one of two logs that are compared."""
 
 
-def read_setups(said: Any, model: Any, file: Path) -> dict[str, Setup]:
+def read_setups(given: Any, model: Any, file: Path) -> dict[str, Setup]:
     """Run -> its setup, from `runs` of log.json (`file`). Raises GapError for what is not in the model."""
-    if said is None:
+    if given is None:
         return {}
-    if not isinstance(said, Mapping):
-        raise _unreadable(file, said)
-    return {str(name): _setup(entry, model, file) for name, entry in said.items()}
+    if not isinstance(given, Mapping):
+        raise _unreadable(file, given)
+    return {str(name): _setup(entry, model, file) for name, entry in given.items()}
 
 
 def _setup(entry: Any, model: Any, file: Path) -> Setup:
     if not isinstance(entry, Mapping) or set(entry) - {"payload", "gains"}:
         raise _unreadable(file, entry)
+
+    def known(name: Any, kind: str, count: int) -> str:
+        names = [getattr(model, kind)(i).name for i in range(count)]
+        refuse_unknown(name, names, f"runs of log.json name the {kind} {name!r}, which is not in model.xml", file)
+        return str(name)
+
     masses, gains = [], []
-    bodies = [model.body(i).name for i in range(model.nbody)]
-    actuators = [model.actuator(i).name for i in range(model.nu)]
     try:
         for item in entry.get("payload", []):
-            at = tuple(float(v) for v in item["at"])
-            if len(at) != 3:
-                raise ValueError(at)
-            mass = float(item["mass"])
+            mass, (x, y, z) = float(item["mass"]), map(float, item["at"])
             weighs = mass == 0 or LIGHTEST <= mass < HEAVIEST
-            if not (np.isfinite([mass, *at]).all() and weighs and np.abs(at).max() < FARTHEST):
+            if not (np.isfinite([mass, x, y, z]).all() and weighs and max(abs(x), abs(y), abs(z)) < FARTHEST):
                 raise ValueError(item)
-            masses.append((_known(item["body"], bodies, "body", file), mass, (at[0], at[1], at[2])))
+            masses.append((known(item["body"], "body", model.nbody), mass, (x, y, z)))
         for actuator, values in entry.get("gains", {}).items():
-            name = _known(actuator, actuators, "actuator", file)
+            name = known(actuator, "actuator", model.nu)
             for which, value in values.items():
                 if which not in ("kp", "kd"):
                     raise ValueError(which)
-                column = 1 if which == "kp" else 2
-                if model.actuator(name).biasprm[column] >= 0:
-                    raise GapError(
-                        f"runs of log.json give {name} a {which}, which it does not have in model.xml",
-                        file=file,
-                        expected="a position servo with this gain",
-                    )
+                if model.actuator(name).biasprm[1 if which == "kp" else 2] >= 0:
+                    message = f"runs of log.json give {name} a {which}, which it does not have in model.xml"
+                    raise GapError(message, file=file, expected="a position servo with this gain")
                 if not (np.isfinite(float(value)) and float(value) >= 0 and (which == "kd" or float(value) > 0)):
-                    raise ValueError(value)  # a drive that is off is told by `enabled`
+                    raise ValueError(value)  # a drive that is off is marked by `enabled`
                 gains.append((name, which, float(value)))
     except (TypeError, ValueError, KeyError, AttributeError) as error:
         raise _unreadable(file, entry) from error
     return Setup(tuple(masses), tuple(gains))
-
-
-def _known(name: Any, known: list[str], kind: str, file: Path) -> str:
-    message = f"runs of log.json name the {kind} {name!r}, which is not in model.xml"
-    refuse_unknown(name, known, message, file)
-    return str(name)
 
 
 def _unreadable(file: Path, found: Any) -> GapError:

@@ -2,25 +2,28 @@
 
 The base's pose errs in each run by a little, which moves the camera like a wrong mount does in this run alone; so each
 run has a shift and a turn of its own, with a prior; a part of it all runs share, which only its prior tells from the
-camera's mount. Residuals are clipped, and
-slopes are taken over steps as large as what is looked for: at the edge of a stake a pixel sees either side.
+camera's mount; and each frame's pose errs by itself. Residuals are clipped, and slopes are taken over steps as large as
+what is looked for: at the edge of a stake a pixel sees either side.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import pairwise
 from math import degrees
 from typing import Any
 
 import numpy as np
+from scipy import sparse
 from scipy.spatial.transform import Rotation
 
 from realsim.core.errors import GapError
+from realsim.core.least_squares import Minimum, least_squares
 from realsim.core.statistics import Z90
 from realsim.core.types import F64
 from realsim.gap.case.case import Case, Run
-from realsim.gap.checks.camera.mixed import Fit
+from realsim.gap.checks.camera.mixed import bayes
 from realsim.gap.checks.camera.rays import Correction, Mount, View
 from realsim.gap.checks.camera.recorded import DepthCamera, depth_camera, read_frames
 from realsim.gap.checks.camera.terrain import Terrain
@@ -33,8 +36,8 @@ CLIP = 0.06
 """m beyond which a pixel saw something else."""
 FREEDOM = 4.0
 """Degrees of freedom of the residuals."""
-ROUNDS = 20
 LENGTHS = (0.5, 1.0, 2.0, 4.0)
+"""Multiples of a step that are tried: at edges slopes are small, so that steps fall short."""
 STEPS = np.array([0.02, *[0.006] * 3, *[0.006] * 3])
 """s, rad and m over which slopes are taken."""
 EVERYDAY = np.array([0.004, *[0.0035] * 3, *[0.0015] * 3])
@@ -158,143 +161,140 @@ def calibrate(
     if camera is None:
         return None
     frames, rays = read_frames(case, camera, FRAMES, PIXELS)
-    view = View(case, terrain, camera, frames, rays)
-    fitter = _Fitter(view, camera, OF_RUN if correction is None else OF_RUN_BY_FEET, correction)
-    return fitter.found(case, progress or (lambda what, share: None))
+    view = View(case, terrain, camera, frames, rays, correction)
+    return _Fitter(view, camera, OF_RUN if correction is None else OF_RUN_BY_FEET).found(
+        case, progress or (lambda what, share: None)
+    )
+
+
+LIKE = 20.0
+"""Pixels side by side err together where the scan does: as many count as one. From the spacing of pixels on a top,
+looked at on terrains 0 and 1 of tests/truths/crossings.py."""
+
+
+def students_t(residual: F64) -> tuple[float, F64]:
+    """The loss of pixels; see FREEDOM and LIKE."""
+    s = residual**2 / FREEDOM
+    size = (FREEDOM + 1) / LIKE
+    return size * float(np.log1p(s).sum()), size / FREEDOM / (1 + s)
 
 
 class _Fitter:
-    def __init__(self, view: View, camera: DepthCamera, of_run: F64, correction: Correction | None) -> None:
-        self.view, self.camera, self.correction = view, camera, correction
+    """Unknowns: the camera's 7 (delay, turn, shift), then of the base's pose 6 (shift, turn) that all runs share, 6 a
+    run, and 6 a frame."""
+
+    def __init__(self, view: View, camera: DepthCamera, of_run: F64) -> None:
+        self.view, self.camera = view, camera
         self.runs = len(view.frames)
-        self.prior = np.concatenate([WIDE, OF_ALL, np.tile(of_run, self.runs)])
-        self.seen = [f.depth > 0 for f in view.frames]
-        self.jitter = [jitter(view.case.runs[f.run]) for f in view.frames]
+        self.own = 13 + 6 * self.runs
+        """Unknowns before those of frames."""
+        counts = [len(f.time) for f in view.frames]
+        self.first = self.own + 6 * np.cumsum([0, *counts])
+        """Of each run: its frames' first unknown."""
+        of_frames = [np.tile(jitter(view.case.runs[f.run]), n) for f, n in zip(view.frames, counts, strict=True)]
+        self.prior = np.concatenate([WIDE, OF_ALL, np.tile(of_run, self.runs), *of_frames])
+        self.use = [(f.depth > 0) & ~hidden for f, hidden in zip(view.frames, view.hidden, strict=True)]
+        self.sigma = np.concatenate([np.hypot(camera.sigma(f.depth), SCAN).ravel() for f in view.frames])
+
+    def offsets(self, x: F64, which: int) -> F64:
+        """(N, 6) m and rad by which the base is off in each frame of a run."""
+        of_frames = x[self.first[which] : self.first[which + 1]].reshape(-1, 6)
+        return x[7:13] + x[13 + 6 * which : 19 + 6 * which] + of_frames
 
     def predicted(self, x: F64, which: int) -> tuple[F64, Any]:
         """Depth and geoms of one run's frames."""
-        own = x[7:13] + x[13 + 6 * which : 19 + 6 * which]
+        return self.view.depth(which, Mount(float(x[0]), x[1:4], x[4:7]), self.offsets(x, which))
 
-        def corrected(run: int, time: float, place: F64) -> tuple[F64, F64]:
-            moved, turned = self.correction(run, time, place) if self.correction else (np.zeros(3), np.zeros(3))
-            return moved + own[:3], turned + own[3:]
+    def residual(self, x: F64) -> F64:
+        """(M,) m of all pixels, recorded less predicted, clipped; NaN where either is missing, or the robot is seen."""
+        found = []
+        for which, use in enumerate(self.use):
+            z, _ = self.predicted(x, which)
+            r = np.clip(self.view.frames[which].depth - z, -CLIP, CLIP)
+            found.append(np.where(use & (z > 0), r, np.nan).ravel())
+        return np.concatenate(found)
 
-        return self.view.depth(which, Mount(float(x[0]), x[1:4], x[4:7]), corrected)
+    def model(self, x: F64) -> tuple[F64, Callable[[], Any]]:
+        """Residuals in standard deviations, and their Jacobian."""
 
-    def residual(self, x: F64, which: int) -> F64:
-        """(N * P,) m, recorded less predicted, clipped; NaN where either has nothing or the robot is in the way."""
-        z, _ = self.predicted(x, which)
-        use = self.seen[which] & (z > 0) & ~self.view.hidden[which]
-        return np.asarray(np.where(use, np.clip(self.view.frames[which].depth - z, -CLIP, CLIP), np.nan).ravel())
+        def jacobian() -> Any:
+            columns = []
+            for k, step in enumerate(STEPS):
+                side = 0.5 * step * (np.arange(len(x)) == k)
+                columns.append((self.residual(x + side) - self.residual(x - side)) / step)
+            J = np.stack(columns, axis=1) / self.sigma[:, None]
+            J = np.where(np.isfinite(J).all(axis=1)[:, None], J, 0.0)
+            base = [part for which in range(self.runs) for part in self._of_base(J, x, which)]
+            runs = np.split(np.arange(len(base)), np.cumsum([len(f.time) for f in self.view.frames])[:-1])
+            of_runs = sparse.block_diag([np.vstack([base[n] for n in run]) for run in runs])
+            return sparse.hstack([J, np.vstack(base), of_runs, sparse.block_diag(base)]).tocsr()
+
+        return self.residual(x) / self.sigma, jacobian
 
     def found(self, case: Case, tick: Callable[[str, float], None]) -> CameraFound:
-        x = np.zeros(len(self.prior))
-        before = [self.residual(x, w) for w in range(self.runs)]
-        total = sum(int(np.isfinite(r).sum()) for r in before)
+        nothing = np.zeros(len(self.prior))
+        before = self.residual(nothing)
+        total = int(np.isfinite(before).sum())
         if total < LEAST_PIXELS:
             raise GapError(
                 "the depth camera never looks at the scene", file=case.folder,
                 expected=f"at least {LEAST_PIXELS} pixels with depth of it", found=str(total),
                 hint="is base_pos in the scene's frame, and the camera of model.xml where the real one is?",
             )  # fmt: skip
-        for k in range(ROUNDS):
-            tick("camera", 0.7 + 0.3 * k / ROUNDS)
-            H, g, scores = self._equations(x)
-            step = np.linalg.solve(H + np.diag(1 / self.prior**2), g - x / self.prior**2)
-            # At edges slopes say little, so steps fall short; how far to go costs little to try.
-            step = min((f * step for f in LENGTHS), key=lambda tried: self._cost(x + tried))
-            x = x + step
-            if (np.abs(step[:7]) < 0.05 * EVERYDAY).all():
-                break
-        H, g, scores = self._equations(x)
-        covariance = self._covariance(H, scores)
-        posterior = Fit(x, covariance, self.prior, 0.0, 0.0, np.zeros(0))
+        tick("camera", 0.7)
+        fit = least_squares(
+            self.model, nothing, loss=students_t, prior=(nothing, self.prior), lengths=LENGTHS, iterations=20,
+            tolerance=1e-4, least_gain=1e-4,
+        )  # fmt: skip
+        assert fit is not None  # no state is impossible
+        covariance = self._covariance(fit)
         named: dict[str, float] = {}
         for name, which in KINDS:
-            odds = -posterior.bayes(list(which), EVERYDAY[list(which)]) - float(np.log(len(KINDS) + 1))
+            at = list(which)
+            gain = bayes(fit.state[at], covariance[np.ix_(at, at)], self.prior[at], EVERYDAY[at])
+            odds = -gain - float(np.log(len(KINDS) + 1))
             if odds > EVIDENCE:
                 named[name] = max(odds, named.get(name, 0.0))
-        noise = self._noise(x)
+        noise = self._noise(fit.state)
         if noise is not None and noise[1] > NOISIER:
             named[NOISE.name] = float(min(30.0, np.log(noise[0]) ** 2 / max((noise[2] - noise[1]) / 3.3, 1e-3) ** 2))
-        after = [self.residual(x, w) for w in range(self.runs)]
-        sigma = np.sqrt(np.diag(covariance))
-        values = [(float(v), float(v - Z90 * s), float(v + Z90 * s)) for v, s in zip(x[:7], sigma[:7], strict=True)]
+        half = Z90 * np.sqrt(np.diag(covariance))
+        values = [(float(v), float(v - h), float(v + h)) for v, h in zip(fit.state[:7], half[:7], strict=True)]
         notes = []
         if self.runs < 3:
             notes.append("fewer than three runs have depth: a lean of the base in a run looks like a turned mount")
+        sizes = (float(np.nanmedian(np.abs(r))) for r in (before, self.residual(fit.state)))
         return CameraFound(
-            self.camera.name, values[0], tuple(values[1:4]), tuple(values[4:7]), noise, named,
-            _typical(before), _typical(after), sum(len(f.time) for f in self.view.frames), total, tuple(notes),
+            self.camera.name, values[0], tuple(values[1:4]), tuple(values[4:7]), noise, named, *sizes,
+            sum(len(f.time) for f in self.view.frames), total, tuple(notes),
         )  # fmt: skip
 
-    def _equations(self, x: F64) -> tuple[F64, F64, list[F64]]:
-        """Normal equations of the robust fit: (P, P), (P,), and the score of every run."""
-        size = len(x)
-        H, g, scores = np.zeros((size, size)), np.zeros(size), []
-        for w in range(self.runs):
-            r0 = self.residual(x, w)
-            own = [*range(13), *range(13 + 6 * w, 19 + 6 * w)]
-            shared = np.zeros((len(r0), 7))
-            for k, step in enumerate(STEPS):
-                sides = []
-                for sign in (-0.5, 0.5):
-                    moved = x.copy()
-                    moved[k] += sign * step
-                    sides.append(self.residual(moved, w))
-                shared[:, k] = (sides[0] - sides[1]) / step  # of the prediction
-            of_base = self._of_base(shared, x, w)
-            J = np.hstack([shared, of_base, of_base])
-            good = np.isfinite(r0) & np.isfinite(J).all(axis=1)
-            z = self.view.frames[w].depth.ravel()[good]
-            variance = self.camera.sigma(z) ** 2 + SCAN**2
-            r = r0[good]
-            weight = (FREEDOM + 1) / (FREEDOM + r * r / variance) / variance / LIKE
-            J, B = J[good], of_base[good]
-            frame = np.flatnonzero(good) // self.seen[w].shape[1]
-            score = np.zeros(size)
-            for n in np.unique(frame):
-                # The pose that a frame was taken from errs by itself, and all of its pixels with it.
-                a, b, c = J[frame == n], B[frame == n], weight[frame == n]
-                own_error = np.linalg.inv(b.T @ (b * c[:, None]) + np.diag(1 / self.jitter[w] ** 2))
-                weighted = (a - b @ (own_error @ (b.T @ (a * c[:, None])))) * c[:, None]
-                H[np.ix_(own, own)] += a.T @ weighted
-                score[own] += weighted.T @ r[frame == n]
-            g += score
-            scores.append(score)
-        return H, g, scores
-
-    def _cost(self, x: F64) -> float:
-        """What the fit makes small: that of Student's t for the pixels, and the priors'."""
-        cost = 0.5 * float(np.sum((x / self.prior) ** 2))
-        for w in range(self.runs):
-            r = np.where(self.seen[w] & ~self.view.hidden[w], self.residual(x, w).reshape(self.seen[w].shape), 0.0)
-            variance = self.camera.sigma(self.view.frames[w].depth) ** 2 + SCAN**2
-            lost = np.isnan(r)  # nothing of the scene is there: as wrong as any
-            cost += float(np.log1p(np.where(lost, CLIP, r) ** 2 / variance / FREEDOM).sum()) * (FREEDOM + 1) / 2 / LIKE
-        return cost
-
-    def _of_base(self, shared: F64, x: F64, which: int) -> F64:
-        """(N * P, 6) slopes by a shift and a turn of the base in the world's axes, from those in the camera's axes.
+    def _of_base(self, J: F64, x: F64, which: int) -> list[F64]:
+        """(P, 6) of each frame of a run: slopes of residuals by a shift and a turn of the base in the world's axes,
+        from those of all pixels (M, 7) in the camera's axes.
 
         Taken by simulation too, they would differ by a little from what they are: the same, in other axes; and what no
         data tell apart but priors would be told apart by that.
         """
         frames = self.view.frames[which]
+        start = sum(f.depth.size for f in self.view.frames[:which])
         found = []
-        for n, slopes in enumerate(shared.reshape(len(frames.time), -1, 7)):
-            _, R = self.view.pose(frames.run, float(frames.time[n]), Mount(float(x[0]), x[1:4], x[4:7]), None)
+        slopes_of = J[start : start + frames.depth.size].reshape(len(frames.time), -1, 7)
+        mount = Mount(float(x[0]), x[1:4], x[4:7])
+        for t, slopes, offset in zip(frames.time, slopes_of, self.offsets(x, which), strict=True):
+            _, R = self.view.pose(frames.run, float(t), mount, offset)
             found.append(np.hstack([slopes[:, 4:7] @ R.T, slopes[:, 1:4] @ R.T]))
-        return np.vstack(found)
+        return found
 
-    def _covariance(self, H: F64, scores: list[F64]) -> F64:
-        """Of all parameters: by curvature, and where there are runs enough, as much as these disagree."""
-        inverse = np.linalg.inv(H + np.diag(1 / self.prior**2))
-        covariance = inverse
-        if self.runs >= 4:
-            middle = sum((np.outer(s, s) for s in scores), np.zeros_like(H))
-            covariance = covariance + inverse @ middle @ inverse * self.runs / (self.runs - 1)
-        return np.asarray(covariance)
+    def _covariance(self, fit: Minimum[F64]) -> F64:
+        """Of all unknowns but the frames': by curvature, and where there are runs enough, by how these disagree."""
+        inverse = np.linalg.inv(fit.information.toarray() + np.diag(self.prior**-2.0))[: self.own, : self.own]
+        if self.runs < 4:
+            return inverse
+        pull = fit.jacobian[:, : self.own].multiply((fit.weight * fit.residual)[:, None]).tocsr()
+        ends = np.cumsum([0, *(f.depth.size for f in self.view.frames)])
+        scores = np.stack([np.asarray(pull[a:b].sum(axis=0)).ravel() for a, b in pairwise(ends)])
+        return np.asarray(inverse + inverse @ scores.T @ scores @ inverse * self.runs / (self.runs - 1))
 
     def _noise(self, x: F64) -> tuple[float, float, float] | None:
         """Ratio of the noise to what log.json says, from second differences along rows on one geom: these know
@@ -302,11 +302,11 @@ class _Fitter:
         if self.camera.noise is None:
             return None
         ratios = []
+        width = int(np.flatnonzero(np.diff(self.view.rays[:, 1]) != 0)[0]) + 1  # columns of the grid of pixels
         for w, frames in enumerate(self.view.frames):
             z, geom = self.predicted(x, w)
-            width = _width(self.view.rays)
             r = (frames.depth - z).reshape(len(z), -1, width)
-            use = (self.seen[w] & (z > 0) & ~self.view.hidden[w] & (np.abs(frames.depth - z) < CLIP)).reshape(r.shape)
+            use = (self.use[w] & (z > 0) & (np.abs(frames.depth - z) < CLIP)).reshape(r.shape)
             same, z = geom.reshape(r.shape), z.reshape(r.shape)
             flat = use[..., :-2] & use[..., 1:-1] & use[..., 2:]
             flat &= (same[..., :-2] == same[..., 1:-1]) & (same[..., 2:] == same[..., 1:-1])
@@ -320,11 +320,6 @@ class _Fitter:
         spread = float(np.std(by_run, ddof=1) / np.sqrt(len(by_run))) if len(by_run) > 2 else 0.0
         half = Z90 * float(np.hypot(spread, 1.17 * value / np.sqrt(len(every))))
         return value, value - half, value + half
-
-
-LIKE = 20.0
-"""Pixels side by side err together where the scan does: as many count as one. From the spacing of pixels on a top,
-looked at on terrains 0 and 1 of tests/truths/crossings.py."""
 
 
 def jitter(run: Run) -> F64:
@@ -346,12 +341,3 @@ def jitter(run: Run) -> F64:
     for k, second in enumerate((np.diff(pos[bent], n=2, axis=0), np.diff(turned, axis=0))):
         found[3 * k : 3 * k + 3] += np.median(np.abs(second), axis=0) / 0.6745 / np.sqrt(6.0)
     return found
-
-
-def _width(rays: F64) -> int:
-    """Columns of the grid of pixels."""
-    return int(np.flatnonzero(np.diff(rays[:, 1]) != 0)[0]) + 1
-
-
-def _typical(residuals: list[F64]) -> float:
-    return float(np.nanmedian(np.abs(np.concatenate(residuals))))

@@ -36,15 +36,23 @@ class Fit:
     weights: F64
     """(G,) 1 for ordinary groups, towards 0 for those that err much."""
 
-    def bayes(self, which: Any, wide: F64) -> float:
-        """Log-likelihood gained by the parameters `which` (K,) having the prior `wide` (K,) in place of their own."""
-        V, m = self.covariance[np.ix_(which, which)], self.mean[which]
-        S0, S1 = np.diag(self.prior[which] ** 2), np.diag(np.asarray(wide) ** 2)
-        P = np.linalg.inv(V)
-        h = P @ m
-        V1 = np.linalg.inv(P - np.linalg.inv(S0) + np.linalg.inv(S1))
-        dets = [np.linalg.slogdet(M)[1] for M in (S0, S1, V, V1)]
-        return float(0.5 * (dets[0] - dets[1] - dets[2] + dets[3] + h @ V1 @ h - h @ m))
+    def bayes(self, which: list[int], wide: F64) -> float:
+        """`bayes` of the parameters `which` (K,)."""
+        return bayes(self.mean[which], self.covariance[np.ix_(which, which)], self.prior[which], wide)
+
+
+def bayes(mean: F64, covariance: F64, prior: F64, wide: F64) -> float:
+    """Log-likelihood gained by parameters (K,) having the prior `wide` (K,) in place of their own.
+
+    Args:
+        mean, covariance: (K,) and (K, K) of their posterior.
+        prior, wide: (K,) standard deviations.
+    """
+    S0, S1, P = np.diag(prior**2), np.diag(wide**2), np.linalg.inv(covariance)
+    h = P @ mean
+    V1 = np.linalg.inv(P - np.linalg.inv(S0) + np.linalg.inv(S1))
+    dets = [np.linalg.slogdet(M)[1] for M in (S0, S1, covariance, V1)]
+    return float(0.5 * (dets[0] - dets[1] - dets[2] + dets[3] + h @ V1 @ h - h @ mean))
 
 
 def fit(A: F64, y: F64, group: Any, prior: F64, start: tuple[float, float], robust: bool = True) -> Fit:

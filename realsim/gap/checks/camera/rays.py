@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -17,8 +17,8 @@ from realsim.gap.checks.camera.terrain import Terrain
 
 GROUPS = np.array([1, 0, 0, 0, 0, 0], np.uint8)
 TO_OPENCV = np.diag([1.0, -1.0, -1.0])
-Correction = Callable[[int, float, F64], tuple[F64, F64]]
-"""(run, s, place of the camera (3,)) -> (m to add to it (3,), rotation vector to turn it by (3,), world axes)."""
+Correction = Callable[[int, float, F64], F64]
+"""(run, s, place of the camera (3,)) -> (6,) m to add to it, and rotation vector to turn it by, world axes."""
 
 
 @dataclass(frozen=True)
@@ -27,19 +27,23 @@ class Mount:
 
     delay: float = 0.0
     """s"""
-    turn: F64 | None = None
+    turn: F64 = field(default_factory=lambda: np.zeros(3))
     """(3,) rad, a rotation vector in the camera's axes: x right, y down, z forward."""
-    shift: F64 | None = None
+    shift: F64 = field(default_factory=lambda: np.zeros(3))
     """(3,) m in the same axes."""
 
 
 class View:
     """Frames of a log with the poses of their camera."""
 
-    def __init__(self, case: Case, terrain: Terrain, camera: DepthCamera, frames: list[Frames], rays: F64) -> None:
+    def __init__(
+        self, case: Case, terrain: Terrain, camera: DepthCamera, frames: list[Frames], rays: F64,
+        correction: Correction | None = None,
+    ) -> None:  # fmt: skip
         import mujoco
 
         self.case, self.terrain, self.camera, self.frames, self.rays = case, terrain, camera, frames, rays
+        self._correction = correction
         self._model = case.spec.copy().compile()
         self._data = mujoco.MjData(self._model)
         self._own = case.spec.copy().compile()
@@ -51,17 +55,17 @@ class View:
         self._motions: dict[int, Motion] = {f.run: estimate(case, case.runs[f.run]) for f in frames}
         self.hidden = [self._hides(f) for f in frames]
 
-    def pose(self, run: int, time: float, mount: Mount, correction: Correction | None) -> tuple[F64, F64]:
-        """((3,) m, (3, 3) OpenCV axes in the world) of the camera when an image of this stamp was taken."""
+    def pose(self, run: int, time: float, mount: Mount, offset: F64) -> tuple[F64, F64]:
+        """((3,) m, (3, 3) OpenCV axes in the world) of the camera when an image of this stamp was taken.
+
+        `offset` (6,): m and rad by which the logged pose is off, beside the correction.
+        """
         place, R = self._nominal(run, time - mount.delay)
-        if correction is not None:
-            moved, turned = correction(run, time - mount.delay, place)
-            place, R = place + moved, exp_so3(turned) @ R
-        if mount.shift is not None:
-            place = place + R @ mount.shift
-        if mount.turn is not None:
-            R = R @ exp_so3(mount.turn)
-        return place, R
+        if self._correction is not None:
+            offset = offset + self._correction(run, time - mount.delay, place)
+        R = exp_so3(offset[3:]) @ R
+        place = place + offset[:3] + R @ mount.shift
+        return place, R @ exp_so3(mount.turn)
 
     def _nominal(self, run: int, time: float) -> tuple[F64, F64]:
         """By the logged state, straight between its samples."""
@@ -77,12 +81,15 @@ class View:
         R = self._data.cam_xmat[self._camera].reshape(3, 3) @ TO_OPENCV
         return self._data.cam_xpos[self._camera].copy(), R
 
-    def depth(self, which: int, mount: Mount, correction: Correction | None = None) -> tuple[F64, Any]:
-        """((N, P) m along the optical axis, 0 where nothing is, (N, P) geom) of the frames of one run."""
+    def depth(self, which: int, mount: Mount, offsets: F64) -> tuple[F64, Any]:
+        """((N, P) m along the optical axis, 0 where nothing is, (N, P) geom) of the frames of one run.
+
+        `offsets` (N, 6): see `pose`.
+        """
         frames = self.frames[which]
         z, geoms = [], []
-        for t in frames.time:
-            place, R = self.pose(frames.run, float(t), mount, correction)
+        for t, offset in zip(frames.time, offsets, strict=True):
+            place, R = self.pose(frames.run, float(t), mount, offset)
             along, geom = _cast(self.terrain.model, self.terrain.data, place, self.rays @ R.T)
             # Rays have z = 1 in the camera, so what they travel in their own length is the depth.
             z.append(np.where((along > 0) & (along <= self.camera.far), along, 0.0))

@@ -12,7 +12,7 @@ The frames of runs/NAME.npz or NAME.csv may stand in runs/NAME_depth/: 16-bit .p
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -65,22 +65,22 @@ class Frames:
 def depth_camera(case: Case) -> DepthCamera | None:
     """The camera of log.json, or None where there is none. Raises GapError for one that cannot be read."""
     file = case.folder / "log.json"
-    said = read_json(file).get("depth_camera") if file.is_file() else None
-    if said is None:
+    given = read_json(file).get("depth_camera") if file.is_file() else None
+    if given is None:
         return None
     try:
-        noise = said.get("noise")
-        fx, fy, cx, cy = (float(said[k]) for k in ("fx", "fy", "cx", "cy"))
+        noise = given.get("noise")
+        fx, fy, cx, cy = (float(given[k]) for k in ("fx", "fy", "cx", "cy"))
         found = DepthCamera(
-            str(said["camera"]), fx, fy, cx, cy,
+            str(given["camera"]), fx, fy, cx, cy,
             None if noise is None else (float(noise[0]), float(noise[1]), float(noise[2])),
-            float(said.get("far", FAR)),
+            float(given.get("far", FAR)),
         )  # fmt: skip
         if not (found.fx > 0 and found.fy > 0 and found.far > 0 and (noise is None or found.sigma(np.ones(1))[0] > 0)):
-            raise ValueError(said)
+            raise ValueError(given)
     except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
         raise GapError(
-            "depth_camera of log.json cannot be read", file=file, expected=EXAMPLE, found=repr(said)[:120]
+            "depth_camera of log.json cannot be read", file=file, expected=EXAMPLE, found=repr(given)[:120]
         ) from error
     known = [case.model.camera(i).name for i in range(case.model.ncam)]
     if found.name not in known:
@@ -102,25 +102,24 @@ def read_frames(case: Case, camera: DepthCamera, most: int, pixels: int) -> tupl
     """
     found: list[Frames] = []
     rays: F64 | None = None
-    shape: tuple[int, ...] | None = None
+    shape: tuple[int, ...] = ()
     share = max(1, most // max(len(case.runs), 1))
     for r, run in enumerate(case.runs):
-        recorded = _recorded(case.folder / "runs", run.name)
+        recorded = recorded_frames(case.folder / "runs", run.name)
         if recorded is None:
             continue
-        path, time, pick_of = recorded
+        path, time, read = recorded
         pick = np.unique(np.linspace(0, len(time) - 1, min(share, len(time))).round().astype(int))
-        depth = pick_of(pick)
+        depth = in_metres(read(pick))
         shape = shape or depth.shape[1:]
         if depth.shape[1:] != shape:
             raise GapError(
                 "depth frames of different sizes", file=path, expected=str(shape), found=str(depth.shape[1:])
             )
         step = max(1, int(np.ceil(np.sqrt(shape[0] * shape[1] / pixels))))
-        thin = depth[:, ::step, ::step]
-        metres = thin * 1e-3 if thin.dtype.kind in "ui" else thin.astype(float)
+        metres = depth[:, ::step, ::step]
         metres = np.where(np.isfinite(metres) & (metres > 0) & (metres <= camera.far), metres, 0.0)
-        found.append(Frames(r, np.asarray(time[pick], float), metres.reshape(len(pick), -1)))
+        found.append(Frames(r, time[pick], metres.reshape(len(pick), -1)))
         v, u = np.mgrid[0 : shape[0] : step, 0 : shape[1] : step]
         rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(u.shape)], -1).reshape(-1, 3)
     if rays is None:
@@ -131,47 +130,50 @@ def read_frames(case: Case, camera: DepthCamera, most: int, pixels: int) -> tupl
     return found, rays
 
 
-_Recorded = tuple[Path, F64, Callable[[Any], Any]]
-"""Where frames are, (N,) s, and the frames (K, h, w) of K indices."""
+def in_metres(depth: Any) -> F64:
+    """Depth as recorded, whole numbers of mm or m."""
+    return np.asarray(depth, dtype=np.float64) * (1e-3 if depth.dtype.kind in "ui" else 1.0)
 
 
-def _recorded(runs: Path, name: str) -> _Recorded | None:
-    """The frames of one run; None where it has none."""
-    folder, arrays = runs / f"{name}_depth", _arrays(runs / f"{name}.npz")
+def recorded_frames(runs: Path, name: str) -> tuple[Path, F64, Callable[[Any], Any]] | None:
+    """(file, (N,) s, a function of indices (K,) -> (K, h, w) as recorded) of one run; None where it has no frames.
+
+    Raises:
+        GapError: frames that cannot be read, or a clock that does not increase.
+    """
+    folder, path = runs / f"{name}_depth", runs / f"{name}.npz"
+    arrays = _arrays(path)
     if folder.is_dir() and arrays is not None:
         raise GapError(
             "a run has depth frames twice", file=folder, expected="the folder, or arrays in the .npz", found="both"
         )
     if folder.is_dir():
-        return _images(folder)
-    if arrays is None:
+        path = folder / "depth.txt"
+        time, files = _listed(path)
+    elif arrays is not None:
+        time, depth = arrays
+    else:
         return None
-    time, depth = arrays
-    return runs / f"{name}.npz", time, lambda pick: depth[pick]
+    if not len(time):
+        raise GapError("no depth frame is listed", file=path, expected='"seconds file" on each line')
+    if not np.isfinite(time).all() or (np.diff(time) <= 0).any():
+        raise GapError("the camera's clock does not increase", file=path, expected="increasing times")
+    return path, time, lambda pick: _stack([files[k] for k in pick]) if arrays is None else depth[pick]
 
 
-def recorded_frames(runs: Path, name: str) -> tuple[F64, Callable[[Any], Any]] | None:
-    """((N,) s, a function of indices (K,) -> (K, h, w) as recorded) of one run; None where it has no frames.
-
-    Raises:
-        GapError: frames that cannot be read, or a clock that does not increase.
-    """
-    found = _recorded(runs, name)
-    return None if found is None else (np.asarray(found[1], dtype=np.float64), found[2])
-
-
-def _images(folder: Path) -> _Recorded:
-    """Frames in files, by the list depth.txt."""
-    listing = folder / "depth.txt"
+def _listed(listing: Path) -> tuple[F64, list[Path]]:
+    """Times and files of depth.txt."""
     if not listing.is_file():
-        raise GapError("the depth frames have no times", file=folder, expected='depth.txt, "seconds file" on each line')
+        raise GapError(
+            "the depth frames have no times", file=listing.parent, expected='depth.txt, "seconds file" on each line'
+        )
     times, files = [], []
     for number, line in enumerate(read_text(listing).splitlines(), 1):
         words = line.split()
         if not words or words[0].startswith("#"):
             continue
         try:
-            seconds, file = float(words[0]), inside(folder, words[1])
+            seconds, file = float(words[0]), inside(listing.parent, words[1])
         except (IndexError, ValueError) as error:
             raise GapError(
                 f"line {number} cannot be read", file=listing, expected="0.100 0001.png", found=line[:60]
@@ -180,9 +182,7 @@ def _images(folder: Path) -> _Recorded:
             raise GapError(f"line {number} names a file that is not there", file=listing, found=words[1])
         times.append(seconds)
         files.append(file)
-    time = np.array(times)
-    _check_clock(time, listing)
-    return listing, time, lambda pick: _stack([files[k] for k in pick])
+    return np.array(times), files
 
 
 def _stack(files: list[Path]) -> Any:
@@ -220,26 +220,23 @@ def _frame(file: Path) -> Any:
     return image
 
 
-def _check_clock(time: F64, file: Path) -> None:
-    if not len(time):
-        raise GapError("no depth frame is listed", file=file, expected='"seconds file" on each line')
-    if not np.isfinite(time).all() or (np.diff(time) <= 0).any():
-        raise GapError("the camera's clock does not increase", file=file, expected="increasing times")
-
-
-def _arrays(path: Path) -> tuple[Any, Any] | None:
+def _arrays(path: Path) -> tuple[F64, Any] | None:
+    """(N,) s and (N, h, w) of an .npz; None where it has neither."""
     if not path.is_file():
         return None
     check_size(path, MAX_BYTES)
-    data: Mapping[str, Any] = read_npz(path)
+    data = read_npz(path)
     if "depth" not in data and "depth_time" not in data:
         return None
-    time, depth = data.get("depth_time"), data.get("depth")
-    good = time is not None and depth is not None and depth.ndim == 3 and time.shape == depth.shape[:1]
-    if not good or time is None or depth is None or depth.dtype.kind not in "uif" or not np.isfinite(time).all():
+    time, depth = (data.get(name, np.zeros(0)) for name in ("depth_time", "depth"))
+    if (
+        depth.ndim != 3
+        or time.shape != depth.shape[:1]
+        or depth.dtype.kind not in "uif"
+        or time.dtype.kind not in "uif"
+    ):
         raise GapError(
             "depth frames cannot be read", file=path, expected="depth_time (N,) in s and depth (N, h, w)",
-            found=f"{None if time is None else time.shape} and {None if depth is None else depth.shape}",
+            found=f"{time.shape} and {depth.shape}",
         )  # fmt: skip
-    _check_clock(time, path)
-    return time, depth
+    return time.astype(np.float64), depth

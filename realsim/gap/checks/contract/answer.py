@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 from realsim.core.errors import GapError
 from realsim.gap.checks.contract.loop import Loop, targets
 from realsim.gap.checks.contract.policy import Contract
-from realsim.gap.checks.contract.search import Problem, Taken, search
+from realsim.gap.checks.contract.search import Problem, Trial, search
 from realsim.gap.checks.contract.servo import check_gains
 from realsim.gap.checks.contract.settings import setting
 from realsim.gap.checks.contract.steps import LEAST, Steps, at_changes, every, liveliest
@@ -65,28 +65,26 @@ def check(contract: Contract, steps: Steps) -> Found:
             expected=", ".join(steps.joints), found=", ".join(other),
         )  # fmt: skip
     notes = list(steps.notes)
-    rows = ROWS if contract.camera is None else ROWS_WITH_CAMERA
-    problem = min(_rates(contract, steps, rows, notes), key=lambda p: p.left(Loop()))
-    moves = float(np.sqrt(np.mean(problem.spread**2)))
-    if moves < STILL and problem.left(Loop()) < 0.5:
-        return Found(
-            "still", f"The log cannot tell: the targets move by {1e3 * moves:.1f} mrad. Nothing contradicts the "
-            "contract; record a run in which the policy walks.", (), problem.left(Loop()), problem.left(Loop()),
-            tuple(notes),
-        )  # fmt: skip
-    start, unknown = _blank(problem, notes)
-    problem.open = unknown
+    problem = min(_rates(contract, steps, notes), key=lambda p: p.left(Loop()))
+    moves, left = float(np.sqrt(np.mean(problem.spread**2))), problem.left(Loop())
+    if moves < STILL and left < 0.5:
+        text = (
+            f"The log cannot tell: the targets move by {1e3 * moves:.1f} mrad. Nothing contradicts the contract; "
+            "record a run in which the policy walks."
+        )
+        return Found("still", text, (), left, left, tuple(notes))
+    start, problem.open = _blank(problem, notes)
     right = problem.left(start)
     loop, taken = search(problem, start)
-    after = problem.left(loop)
-    errors = _errors(problem, start, taken, notes)
-    explained = after <= max(KEPT, unknown) or after < 0.3 * right
-    errors += _outside(contract, problem.steps, steps, explained)
-    return _answer(errors, right, after, explained, max(KEPT, unknown), notes)
+    after, noise = problem.left(loop), max(KEPT, problem.open)
+    explained = after <= noise or after < 0.3 * right
+    errors = _errors(problem, start, taken, notes) + _outside(contract, problem.steps, steps, explained)
+    verdict, sentence = _worded(errors, right, after, explained, noise)
+    return Found(verdict, sentence, () if verdict == "kept" else tuple(errors), right, after, tuple(notes))
 
 
-def _rates(contract: Contract, steps: Steps, rows: int, notes: list[str]) -> Iterator[Problem]:
-    """The log at the rates at which its policy may have been asked: as logged, where commands change, at its own."""
+def _rates(contract: Contract, steps: Steps, notes: list[str]) -> Iterator[Problem]:
+    """The log at the rates at which its policy may have run: as logged, where commands change, at its own."""
     found = [steps]
     if steps.changes > 1.5 * steps.period:
         found += [at_changes(steps, 0), at_changes(steps, 1)]
@@ -96,14 +94,14 @@ def _rates(contract: Contract, steps: Steps, rows: int, notes: list[str]) -> Ite
     least = contract.history + LEAST
     long = [replace(s, runs=tuple(r for r in s.runs if len(r.time) >= least)) for s in found]
     if not any(s.runs for s in long):
-        longest = max(len(r.time) for r in found[0].runs)
         raise GapError(
             "the policy's history is longer than the log", expected=f"a run of at least {least} policy steps",
-            found=f"{longest} at most",
+            found=f"{max(len(r.time) for r in steps.runs)} at most",
         )  # fmt: skip
     short = {r.name for r in steps.runs} - {r.name for s in long for r in s.runs}
     if short:
         notes.append(f"runs too short for the policy's history are left out: {', '.join(sorted(short)[:3])}")
+    rows = ROWS if contract.camera is None else ROWS_WITH_CAMERA
     half = max(rows // 2 + contract.memory - contract.history, least)  # images from before are no rows to judge
     return (Problem(contract, liveliest(s, 2 * half, half)) for s in long if s.runs)
 
@@ -111,10 +109,11 @@ def _rates(contract: Contract, steps: Steps, rows: int, notes: list[str]) -> Ite
 def _blank(problem: Problem, notes: list[str]) -> tuple[Loop, float]:
     """(where the search begins, the share of the spread that inputs which are not logged leave open)."""
     contract, steps = problem.contract, problem.steps
-    logged = {"command": any(r.told is not None for r in steps.runs),
-              "lin_vel": any(r.lin_vel is not None for r in steps.runs), "unknown": False}  # fmt: skip
-    blind = [t.name for t in contract.terms if not logged.get(t.kind, True) and t.kind != "command"]
-    if any(t.kind == "command" for t in contract.terms) and not logged["command"]:
+    kinds = {t.kind for t in contract.terms}
+    blind = [t.name for t in contract.terms if t.kind == "unknown"]
+    if all(r.lin_vel is None for r in steps.runs):
+        blind = [t.name for t in contract.terms if t.kind in ("unknown", "lin_vel")]
+    if "command" in kinds and all(r.told is None for r in steps.runs):
         notes.append("the velocity command is not logged (policy_command): it is estimated five times a second")
     if blind:
         notes.append(f"not logged, taken as zero: {', '.join(blind)}; the other terms are checked")
@@ -124,9 +123,8 @@ def _blank(problem: Problem, notes: list[str]) -> tuple[Loop, float]:
     best = min(loops, key=problem.left)
     replayed = [np.concatenate(targets(contract, steps, loop)) for loop in loops]
     here = replayed[loops.index(best)]
-    apart = float(
-        np.median([np.sqrt(np.mean((r - here) ** 2)) for r in replayed]) / np.sqrt(np.mean(problem.spread**2))
-    )
+    typical = np.median([np.sqrt(np.mean((r - here) ** 2)) for r in replayed])
+    apart = float(typical / np.sqrt(np.mean(problem.spread**2)))
     notes.append(
         f"the camera is checked by no frame: a blank image stands for it, which leaves about {apart:.0%} of the "
         "targets' spread open; the other terms are checked"
@@ -134,62 +132,57 @@ def _blank(problem: Problem, notes: list[str]) -> tuple[Loop, float]:
     return best, min(apart, 0.7)
 
 
-def _errors(problem: Problem, start: Loop, taken: list[Taken], notes: list[str]) -> list[dict[str, Any]]:
+def _errors(problem: Problem, start: Loop, taken: list[Trial], notes: list[str]) -> list[dict[str, Any]]:
     loop, found = start, []
-    for t in taken:
-        loop = t.trial.family.change(loop, t.trial.values)
-        if t.trial.kind == "timing":
-            notes.append(t.trial.text)
+    for trial in taken:
+        loop = trial.applied(loop)
+        if trial.kind == "timing":
+            notes.append(trial.text)
             continue
-        found.append({
-            "kind": t.trial.kind, "text": t.trial.text, "left": problem.left(loop),
-            "setting": setting(t.trial.kind, problem.contract.framework),
-            "or": [{"kind": r.kind, "text": r.text} for r in t.rivals if r.kind != "timing"],
-        })  # fmt: skip
+        rivals = [{"kind": r.kind, "text": r.text} for r in trial.rivals if r.kind != "timing"]
+        found.append(_error(problem.contract, trial.kind, trial.text, problem.left(loop), rivals))
     return found
+
+
+def _error(
+    contract: Contract, kind: str, text: str, left: float | None = None, rivals: Sequence[dict[str, str]] = ()
+) -> dict[str, Any]:
+    """See `Found.errors`."""
+    what = setting(kind, contract.framework)
+    return {"kind": kind, "text": text, "left": left, "setting": what, "or": list(rivals)}
 
 
 def _outside(contract: Contract, used: Steps, steps: Steps, explained: bool) -> list[dict[str, Any]]:
     """What no residual of targets shows: the period, where the replay agrees at the rate it has, and the gains."""
     found = []
-    asked = float(np.median([np.median(np.diff(r.time)) for r in used.runs]))
-    if explained and abs(asked / contract.period - 1) > OTHER_PERIOD:
-        text = f"the policy is asked every {1e3 * asked:.3g} ms instead of every {1e3 * contract.period:.3g} ms"
+    period = float(np.median([np.median(np.diff(r.time)) for r in used.runs]))
+    if explained and abs(period / contract.period - 1) > OTHER_PERIOD:
+        text = f"the policy is asked every {1e3 * period:.3g} ms instead of every {1e3 * contract.period:.3g} ms"
         if steps.period > 1.5 * contract.period:
             text += " (unless the log leaves out steps)"
-        found.append(("control_period", text))
+        found.append(_error(contract, "control_period", text))
     gains = check_gains(contract, steps if steps.period <= contract.period * 1.5 else used)
-    if gains:
-        found.append(("gains", gains))
-    return [
-        {"kind": kind, "text": text, "left": None, "setting": setting(kind, contract.framework), "or": []}
-        for kind, text in found
-    ]
+    return [*found, _error(contract, "gains", gains)] if gains else found
 
 
-def _answer(
-    errors: list[dict[str, Any]], right: float, after: float, explained: bool, noise: float, notes: list[str]
-) -> Found:
+def _worded(
+    errors: Sequence[dict[str, Any]], right: float, after: float, explained: bool, noise: float
+) -> tuple[str, str]:
+    """(verdict, sentence)."""
     words = [" or ".join([e["text"], *(o["text"] for o in e["or"])]) for e in errors]
-    tail = tuple(notes)
     if not explained:
         near = f"; nearest: {words[0]}" if words else ""
-        return Found(
-            "unexplained",
+        return "unexplained", (
             f"The targets that were sent are not the policy's: {right:.0%} of their spread is left, and {after:.0%} "
-            f"with every mistake that the search knows{near}. Is it this policy?", tuple(errors), right, after, tail,
-        )  # fmt: skip
+            f"with every mistake that the search knows{near}. Is it this policy?"
+        )
     if not errors:
         open_ = "" if noise <= KEPT else f" Up to {noise:.0%} may come from inputs that are not logged."
-        return Found(
-            "kept", f"The policy was run as its contract says: {right:.1%} of its targets' spread is left.{open_}", (),
-            right, after, tail,
-        )  # fmt: skip
-    rest = "" if after <= noise else f", and something that the search does not know leaves {after:.0%}"
+        left = f"{right:.1%} of its targets' spread is left"
+        return "kept", f"The policy was run as its contract says: {left}.{open_}"
     which = "; ".join(f"({i}) {w}" for i, w in enumerate(words, 1)) if len(words) > 1 else words[0]
-    mended = f" As trained, {right:.0%} of the targets' spread is left; with this mended {after:.1%}{rest}."
-    return Found(
-        "ambiguous" if any(e["or"] for e in errors) else "broken",
-        f"The policy's contract is broken: {which}.{mended if any(e['left'] is not None for e in errors) else ''}",
-        tuple(errors), right, after, tail,
-    )  # fmt: skip
+    sentence = f"The policy's contract is broken: {which}."
+    if any(e["left"] is not None for e in errors):
+        rest = "" if after <= noise else f", and something that the search does not know leaves {after:.0%}"
+        sentence += f" As trained, {right:.0%} of the targets' spread is left; with this mended {after:.1%}{rest}."
+    return "ambiguous" if any(e["or"] for e in errors) else "broken", sentence

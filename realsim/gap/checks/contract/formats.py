@@ -10,17 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from realsim.core.errors import GapError, ModelError
-from realsim.core.files import read_text
+from realsim.core.files import parse_yaml, read_text
 from realsim.core.onnx_file import open_network
 from realsim.core.types import F64
 from realsim.gap.checks.contract.policy import TERMS, WIDTH, Camera, Contract, Run, Term
 
-MOST_NESTED = 20
-"""Levels of lists and maps in a YAML file; deploy.yaml has four."""
-MOST_BYTES = 2**20
+MAX_BYTES = 2**20
 """Of a YAML file: deploy.yaml of a humanoid has 10 kB."""
 
 
@@ -28,7 +25,9 @@ def read_contract(path: Path, meta: Mapping[str, str], deploy: Path | None, join
     """See `load_policy`; the network is not looked at. Raises GapError."""
     try:
         if deploy is not None:
-            content = read_yaml(deploy)
+            content = parse_yaml(read_text(deploy, MAX_BYTES), deploy)
+            if not isinstance(content, dict):
+                raise GapError("the YAML file is no map", file=deploy, found=type(content).__name__)
             if "joint_ids_map" in content:
                 return _of_deploy_yaml(content, joints)
             if "articulations" in content:
@@ -53,30 +52,6 @@ def read_contract(path: Path, meta: Mapping[str, str], deploy: Path | None, join
         expected="metadata of realsim or mjlab, or --deploy-yaml", found=", ".join(meta)[:200] or "no metadata",
         hint="unitree_rl_lab writes params/deploy.yaml beside the export, Isaac Lab params/IO_descriptors.yaml",
     )  # fmt: skip
-
-
-def read_yaml(path: Path) -> dict[str, Any]:
-    """A map from a YAML file without aliases, so that a small file stays small. Raises GapError."""
-    text = read_text(path)
-    try:
-        if len(text) > MOST_BYTES:
-            raise ValueError(f"{len(text)} bytes, more than {MOST_BYTES}")
-        depth = 0
-        for event in yaml.parse(text, Loader=yaml.SafeLoader):
-            depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
-            if depth > MOST_NESTED:
-                raise ValueError(f"more than {MOST_NESTED} lists in each other")
-            if isinstance(event, yaml.AliasEvent):
-                raise ValueError("an alias")
-        found = yaml.safe_load(text)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise GapError(
-            "the YAML file cannot be read", file=path, expected="a short map of names to numbers and lists",
-            found=" ".join(str(error).split())[:200] or type(error).__name__,
-        ) from error  # fmt: skip
-    if not isinstance(found, dict):
-        raise GapError("the YAML file is no map", file=path, found=type(found).__name__)
-    return found
 
 
 def _terms(items: Iterable[tuple[str, int | None, int, Any]], joints: int) -> tuple[Term, ...]:

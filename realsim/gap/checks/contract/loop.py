@@ -62,6 +62,23 @@ class Loop:
     blank: float = 1.0
     """What a depth image that is not logged shows, 0 near to 1 far."""
 
+    def with_entries(self, field: str, entries: Mapping[str, Any]) -> Loop:
+        """With entries added to one of its maps."""
+        return replace(self, **{field: {**getattr(self, field), **entries}})
+
+    def mixed(self, kinds: Sequence[str], W: F64) -> Loop:
+        """`W` (n, n) on top of what these terms are mixed with and shifted by."""
+        loop = self.with_entries("mix", {k: W @ self.mix.get(k, np.eye(len(W))) for k in kinds})
+        return loop.with_entries("shift", {k: W @ self.shift[k] for k in kinds if k in self.shift})
+
+    def shifted(self, kind: str, by: F64) -> Loop:
+        """A term shifted further."""
+        return self.with_entries("shift", {kind: self.shift.get(kind, 0.0) + by})
+
+    def sent_to(self, order: tuple[int, ...]) -> Loop:
+        """Targets handed to the motors in this order on top of the loop's own."""
+        return replace(self, order=order if self.order is None else tuple(self.order[i] for i in order))
+
 
 def targets(contract: Contract, steps: Steps, loop: Loop) -> list[F64]:
     """(K, J) targets of every run in the policy's order of joints."""
@@ -225,9 +242,3 @@ def _with_unknown(contract: Contract, sent: F64, parts: Sequence[F64], depth: F6
             step = np.linalg.solve(x.T @ x + 1e-6 * np.eye(term.width) * max(np.trace(x.T @ x), 1e-9), x.T @ y)
             value[w] = np.clip(value[w] + step, -2.0, 2.0)
     return given(value[windows])
-
-
-def merged(loop: Loop, **changes: Mapping[str, Any]) -> Loop:
-    """The loop with entries added to its maps."""
-    whole: dict[str, Any] = {k: {**getattr(loop, k), **v} for k, v in changes.items()}
-    return replace(loop, **whole)

@@ -7,7 +7,7 @@ is taken is left out once, and stays out if it is no longer worth PRICE.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +15,7 @@ import numpy as np
 from realsim.core.types import F64
 from realsim.gap.checks.contract.loop import Loop, commands, targets
 from realsim.gap.checks.contract.policy import Contract
-from realsim.gap.checks.contract.proposals import Family, families
+from realsim.gap.checks.contract.proposals import Family, families, single
 from realsim.gap.checks.contract.steps import Steps
 
 FLOOR = 0.01
@@ -46,29 +46,30 @@ class Trial:
 
     family: Family
     values: F64
-    loop: Loop
     scales: F64
     """(J,) rad: root of the mean square and the floor's."""
+    rivals: tuple[Trial, ...] = ()
+    """Of one that was taken: what explains as much."""
 
     @property
     def score(self) -> float:
-        return float(np.mean(np.log(self.scales))) + PER_PARAMETER * self.family.size
+        return _cost(self.scales) + PER_PARAMETER * self.family.size
 
     @property
     def kind(self) -> str:
-        return self.family.tell(self.values)[0]
+        return self.family.describe(self.values)[0]
 
     @property
     def text(self) -> str:
-        return self.family.tell(self.values)[1]
+        return self.family.describe(self.values)[1]
+
+    def applied(self, loop: Loop) -> Loop:
+        return self.family.change(loop, self.values)
 
 
-@dataclass(frozen=True)
-class Taken:
-    """A mistake that the search has taken, and what explains as much."""
-
-    trial: Trial
-    rivals: tuple[Trial, ...]
+def _cost(scales: F64) -> float:
+    """Nats."""
+    return float(np.mean(np.log(scales)))
 
 
 class Problem:
@@ -90,14 +91,18 @@ class Problem:
         replayed = targets(self.contract, self.steps, loop)
         return np.concatenate([(c - t)[k:] for c, t, k in zip(self.commands, replayed, self.skip, strict=True)])
 
-    def scales(self, residual: F64) -> F64:
+    def scales(self, loop: Loop) -> F64:
+        """(J,) rad."""
+        return self.scales_of(self.residual(loop))
+
+    def scales_of(self, residual: F64) -> F64:
         return np.sqrt(np.mean(residual**2, axis=0) + self.floor**2)
 
     def worth(self, before: F64, after: F64) -> bool:
         """Whether scales (J,) fell by what a mistake has to explain."""
         floor = max(NOTICED, self.open) * np.maximum(self.spread, LEAST_SPREAD)
-        one, other = np.hypot(before, floor), np.hypot(after, floor)
-        return bool(np.max(np.log(one / other)) > PRICE and np.mean(np.log(after)) < np.mean(np.log(before)))
+        gain = np.log(np.hypot(before, floor) / np.hypot(after, floor))
+        return bool(np.max(gain) > PRICE and _cost(after) < _cost(before))
 
     def left(self, loop: Loop) -> float:
         """Rms of what is left over the rms of the targets about their means, all joints together."""
@@ -105,12 +110,11 @@ class Problem:
         return float(np.sqrt(np.mean(self.residual(loop) ** 2)) / spread)
 
 
-def search(problem: Problem, loop: Loop) -> tuple[Loop, list[Taken]]:
+def search(problem: Problem, loop: Loop) -> tuple[Loop, list[Trial]]:
     """(the loop that explains the log, the mistakes in it, the largest first)."""
-    taken: list[Taken] = []
-    trials: list[Trial] = []
+    start, taken = loop, list[Trial]()
     while len(taken) < MOST:
-        here = problem.scales(problem.residual(loop))
+        here = problem.scales(loop)
         tried = sorted(_tried(problem, loop, here), key=lambda t: t.score)
         if not tried or not problem.worth(here, tried[0].scales):
             break
@@ -119,93 +123,66 @@ def search(problem: Problem, loop: Loop) -> tuple[Loop, list[Taken]]:
         # The same change in other words (minus one as a scale, and as three axes turned round) is no rival.
         near = [t for t in near if not np.allclose(t.scales, best.scales, rtol=SAME)]
         rivals = {t.kind: t for t in reversed(near) if problem.worth(here, t.scales)}
-        taken.append(Taken(best, tuple(rivals.values())))
-        loop = best.loop
-        trials.append(best)
-    return _pruned(problem, taken)
-
-
-def _pruned(problem: Problem, taken: list[Taken]) -> tuple[Loop, list[Taken]]:
-    """Without the mistakes that the others make needless."""
-    base = Loop(blank=taken[0].trial.loop.blank) if taken else Loop()
-    for which in range(len(taken) - 2, -1, -1):
-        whole = _applied(base, taken)
+        taken.append(replace(best, rivals=tuple(rivals.values())))
+        loop = best.applied(loop)
+    for which in range(len(taken) - 2, -1, -1):  # without those that the later ones make needless
         fewer = [t for k, t in enumerate(taken) if k != which]
-        if not problem.worth(
-            problem.scales(problem.residual(_applied(base, fewer))), problem.scales(problem.residual(whole))
-        ):
+        if not problem.worth(*(problem.scales(_applied(start, trials)) for trials in (fewer, taken))):
             taken = fewer
-    return _applied(base, taken), taken
+    return _applied(start, taken), taken
 
 
-def _applied(loop: Loop, taken: list[Taken]) -> Loop:
-    for t in taken:
-        loop = t.trial.family.change(loop, t.trial.values)
+def _applied(loop: Loop, taken: list[Trial]) -> Loop:
+    for trial in taken:
+        loop = trial.applied(loop)
     return loop
 
 
 def _tried(problem: Problem, loop: Loop, here: F64) -> Iterator[Trial]:
     for family in families(problem.contract, problem.steps, loop):
-        if not family.size:
-            changed = family.change(loop, family.starts[0])
-            yield Trial(family, family.starts[0], changed, problem.scales(problem.residual(changed)))
-            continue
-        found = _fitted(problem, loop, family, here)
-        if found is not None:
-            yield found
+        if family.size:
+            found = _fitted(problem, loop, family, _cost(here))
+            if found is not None:
+                yield found
+        else:
+            neutral = family.starts[0]
+            yield Trial(family, neutral, problem.scales(family.change(loop, neutral)))
     yield from _irregular(problem, loop)
 
 
-def _fitted(problem: Problem, loop: Loop, family: Family, here: F64) -> Trial | None:
+def _fitted(problem: Problem, loop: Loop, family: Family, first: float) -> Trial | None:
     """Gauss-Newton with a weight a joint, from the best start; None where the first step gains nothing."""
 
-    def look(x: F64) -> tuple[F64, F64]:
-        residual = problem.residual(family.change(loop, x))
-        return residual, problem.scales(residual)
+    def residual(x: F64) -> F64:
+        return problem.residual(family.change(loop, x))
 
-    def cost(scales: F64) -> float:
-        return float(np.mean(np.log(scales)))
-
-    x = min(family.starts, key=lambda start: cost(look(start)[1]))
-    residual, scales = look(x)
-    first = cost(here)
+    x = min(family.starts, key=lambda start: _cost(problem.scales_of(residual(start))))
+    r = residual(x)
+    scales = problem.scales_of(r)
     for turn in range(ITERATIONS):
-        weight = 1 / scales
-        slopes = np.stack(
-            [((look(x + family.step * e)[0] - residual) / family.step * weight).ravel() for e in np.eye(family.size)],
-            axis=1,
-        )
-        inner = slopes.T @ slopes
+        columns = [((residual(x + family.step * e) - r) / family.step / scales).ravel() for e in np.eye(family.size)]
+        J = np.stack(columns, axis=1)
+        inner = J.T @ J
         inner += 1e-9 * max(float(np.trace(inner)), 1e-12) * np.eye(family.size)
-        step = -np.linalg.solve(inner, slopes.T @ (residual * weight).ravel())
+        step, before = -np.linalg.solve(inner, J.T @ (r / scales).ravel()), _cost(scales)
         for share in (1.0, 0.5, 0.2):
-            there = look(x + share * step)
-            if cost(there[1]) < cost(scales) - 1e-4:
+            there = residual(x + share * step)
+            if _cost(problem.scales_of(there)) < before - 1e-4:
                 break
         else:
             break
-        gained = cost(scales) - cost(there[1])
-        x, (residual, scales) = x + share * step, there
-        if gained < 1e-3 or (turn == 0 and first - cost(scales) < 0.01):
+        x, r, scales = x + share * step, there, problem.scales_of(there)
+        if before - _cost(scales) < 1e-3 or (turn == 0 and first - _cost(scales) < 0.01):
             break
-    x, scales = _sparse(x, scales, look, family)
-    if first - cost(scales) < 0.005:
-        return None
-    return Trial(family, x, family.change(loop, x), scales)
-
-
-def _sparse(x: F64, scales: F64, look: Callable[[F64], tuple[F64, F64]], family: Family) -> tuple[F64, F64]:
-    """Parameters that are small beside the largest become neutral where nothing is lost by it."""
-    neutral = family.starts[0]
-    off = np.abs(x - neutral)
-    if family.size < 4 or not off.any():
-        return x, scales
-    for share in (0.5, 0.25, 0.1):
-        fewer = np.where(off > share * off.max(), x, neutral)
-        there = look(fewer)[1]
-        if np.mean(np.log(there)) < np.mean(np.log(scales)) + PER_PARAMETER:
-            return fewer, there
-    return x, scales
+    off = np.abs(x - family.starts[0])
+    if family.size >= 4 and off.any():  # what is small beside the largest is neutral where nothing is lost by it
+        for share in (0.5, 0.25, 0.1):
+            fewer = np.where(off > share * off.max(), x, family.starts[0])
+            there = problem.scales_of(residual(fewer))
+            if _cost(there) < _cost(scales) + PER_PARAMETER:
+                x, scales = fewer, there
+                break
+    return None if first - _cost(scales) < 0.005 else Trial(family, x, scales)
 
 
 def _irregular(problem: Problem, loop: Loop) -> Iterator[Trial]:
@@ -215,7 +192,7 @@ def _irregular(problem: Problem, loop: Loop) -> Iterator[Trial]:
     history = problem.contract.history
     pattern = [np.zeros(len(r.time)) for r in problem.steps.runs]
     spans = np.cumsum([0, *(len(p) - k for p, k in zip(pattern, problem.skip, strict=True))])
-    scales = problem.scales(problem.residual(loop))
+    scales = problem.scales(loop)
 
     def costs(stale: list[F64]) -> F64:
         r = problem.residual(replace(loop, stale=tuple(stale)))
@@ -233,12 +210,12 @@ def _irregular(problem: Problem, loop: Loop) -> Iterator[Trial]:
                     rows &= np.arange(len(p)) % history == phase
                     p[rows] = age
                 now = costs(pattern)
-        scales = problem.scales(problem.residual(replace(loop, stale=tuple(pattern))))
+        scales = problem.scales(replace(loop, stale=tuple(pattern)))
     share = float(np.mean(np.concatenate(pattern) > 0))
     if 0.02 < share < 0.9:
         found = tuple(pattern)
         text = f"{share:.0%} of the readings are a policy step old or more: two clocks that drift, or a queue"
-        family = Family(lambda loop, _: replace(loop, stale=found), lambda _: ("irregular_readings", text))
         # An age for each row: log 3 nats a row, spread over the joints as the score is.
         cost = np.log(3.0) / len(problem.contract.joints)
-        yield Trial(family, np.zeros(0), replace(loop, stale=found), scales * np.exp(cost * share))
+        family = single("irregular_readings", text, lambda loop: replace(loop, stale=found))
+        yield Trial(family, np.zeros(0), scales * np.exp(cost * share))

@@ -12,7 +12,7 @@ from realsim.core.errors import GapError
 from realsim.core.files import read_npz
 from realsim.core.types import F64, Bool
 from realsim.gap.case.case import Case
-from realsim.gap.checks.camera.recorded import recorded_frames
+from realsim.gap.checks.camera.recorded import in_metres, recorded_frames
 from realsim.gap.checks.contract.policy import Camera
 
 LEAST = 20
@@ -189,12 +189,11 @@ def _frames(case: Case, name: str, time: F64, camera: Camera | None) -> tuple[F6
     found = recorded_frames(case.folder / "runs", name)
     if found is None:
         return None, "no depth frames are logged"
-    stamps, read = found
+    _, stamps, read = found
     newest = np.clip(np.searchsorted(stamps, time, side="right") - 1, 0, None)
     kept, back = np.unique(newest, return_inverse=True)
-    images = read(kept)
+    images = in_metres(read(kept))
     if images.shape[1:] != camera.shape[1:]:
         size = " x ".join(map(str, images.shape[1:]))
         return None, f"depth frames are {size}, the policy sees {camera.shape[1]} x {camera.shape[2]}: not replayed"
-    metres = images * 1e-3 if images.dtype.kind in "ui" else np.asarray(images, dtype=np.float64)
-    return metres[back], ""
+    return images[back], ""

@@ -104,13 +104,13 @@ class FootholdMap:
     leans: tuple[F64, ...] = field(default=(), repr=False)
     """Run -> (2,) m of height for a m along the world's x and y from the base, by a lean of its orientation."""
 
-    def correction(self, run: int, time: float, arm: F64) -> tuple[F64, F64]:
-        """((3,) m to add to a place on the robot `arm` (3,) m from its base, rotation vector (3,) to turn it by)."""
+    def correction(self, run: int, time: float, arm: F64) -> F64:
+        """(6,) m to add to a place on the robot `arm` (3,) m from its base, and rotation vector to turn it by."""
         if run >= len(self.leans):  # no foot stood in it
-            return np.zeros(3), np.zeros(3)
+            return np.zeros(6)
         lean = self.leans[run]
         off = float(np.interp(time / KNOT, np.arange(len(self.knots[run])), self.knots[run]))
-        return np.array([0.0, 0.0, -off - float(lean @ arm[:2])]), np.array([-lean[1], lean[0], 0.0])
+        return np.array([0.0, 0.0, -off - float(lean @ arm[:2]), -lean[1], lean[0], 0.0])
 
     @property
     def changed(self) -> tuple[Foothold, ...]:
@@ -127,35 +127,28 @@ def survey(case: Case, terrain: Terrain, progress: Callable[[str, float], None] 
     tick("contacts", 0.1)
     touches = find_touches(case, terrain)
     tick("footholds", 0.7)
-    return footholds_of(touches, terrain, seed=0)
-
-
-def footholds_of(touches: Touches, terrain: Terrain, seed: int = 0) -> FootholdMap:
-    """The map from contacts."""
     names = sorted({t.name for t in touches.items})
-    vertical = _Heights(touches, names)
-    accepted = vertical.search()
-    sideways = _Wobble(touches, names)
-    accepted |= {(k, kind): v for (k, kind), v in sideways.search().items()}
-    slips = _slips(touches, names, np.random.default_rng(seed))
+    vertical, sideways = _Heights(touches, names), _Wobble(touches, names)
+    accepted = vertical.search() | sideways.search()
+    slips = _slips(touches, names, np.random.default_rng(0))
     found = []
     for k, name in enumerate(names):
         mine = [t for t in touches.items if t.name == name]
-        quantities = vertical.quantities(k, touches.weight) | sideways.quantities(k) | slips[k][0]
+        quantities = vertical.quantities(k) | sideways.quantities(k) | slips[k][0]
         evidence = {kind: odds for (at, kind), odds in accepted.items() if at == k}
         if slips[k][1] > 0:
             evidence["slip"] = slips[k][1]
         middle = np.mean([np.mean(t.place, axis=0) for t in mine], axis=0) + mine[0].middle
         top = terrain.below(np.array([*middle, mine[0].top + 0.2]), 0.0)[0]
         place = (float(middle[0]), float(middle[1]), float(top))
-        changes = tuple(sorted(evidence, key=lambda kind, odds=evidence: -odds[kind]))  # type: ignore[misc]
+        changes = tuple(kind for kind, _ in sorted(evidence.items(), key=lambda item: -item[1]))
         runs = len({t.run for t in mine})
-        geom = terrain.name(mine[0].geom)
-        found.append(Foothold(name, geom, place, len(mine), runs, quantities, changes, evidence))
-    starts = vertical.base_errors()
+        found.append(Foothold(name, terrain.name(mine[0].geom), place, len(mine), runs, quantities, changes, evidence))
+    wander = vertical.wander()
+    starts = [float(w[0]) for w in wander if len(w) > 1]
     return FootholdMap(
-        tuple(found), touches.lost, len(touches.items) + touches.lost, (float(starts.min()), float(starts.max())),
-        vertical.fit.group_size, vertical.wander(), vertical.leaning(),
+        tuple(found), touches.lost, len(touches.items) + touches.lost, (min(starts), max(starts)),
+        vertical.fit.group_size, wander, vertical.leaning(),
     )  # fmt: skip
 
 
@@ -164,6 +157,8 @@ class _Search:
 
     kinds: ClassVar[dict[str, tuple[int, ...]]]
     """Kind of change -> which of a foothold's parameters it moves."""
+    units: ClassVar[dict[str, str]]
+    """Parameter of a foothold -> its unit."""
 
     def __init__(self, A: F64, y: F64, group: Any, prior: F64, wide: F64, first: int, names: Sequence[str]) -> None:
         self.A, self.y, self.group, self.prior, self.wide, self.first = A, y, group, prior.copy(), wide, first
@@ -203,15 +198,20 @@ class _Search:
     def _wide(self, kind: str) -> F64:
         return self.wide[list(self.kinds[kind])]
 
-    def quantity(self, index: int, unit: str, scale: float = 1.0) -> Quantity:
-        mean, sigma = scale * self.fit.mean[index], abs(scale) * float(np.sqrt(self.fit.covariance[index, index]))
-        return Quantity(float(mean), float(mean - Z90 * sigma), float(mean + Z90 * sigma), unit)
+    def quantities(self, k: int) -> dict[str, Quantity]:
+        """The parameters of one foothold."""
+        found = {}
+        for index, (name, unit) in enumerate(self.units.items(), self.first + self.per * k):
+            mean, half = self.fit.mean[index], Z90 * np.sqrt(self.fit.covariance[index, index])
+            found[name] = Quantity(float(mean), float(mean - half), float(mean + half), unit)
+        return found
 
 
 class _Heights(_Search):
     """Heights of feet against scanned tops. The base's height, which wanders, its lean, and the legs are nuisances."""
 
     kinds: ClassVar = {"height": (0,), "tilt": (1, 2), "give": (3,)}
+    units: ClassVar = {"height": "m", "tilt_x": "rad", "tilt_y": "rad", "give": "m"}
 
     def __init__(self, touches: Touches, names: Sequence[str]) -> None:
         items = touches.items
@@ -250,11 +250,6 @@ class _Heights(_Search):
         prior[first:] = np.tile([HEIGHT, TILT, TILT, YIELD], len(names))
         super().__init__(np.vstack(rows), np.concatenate(y), np.concatenate(group), prior, wide, first, names)
 
-    def quantities(self, k: int, weight: float) -> dict[str, Quantity]:
-        at = self.first + 4 * k
-        units = (("height", "m"), ("tilt_x", "rad"), ("tilt_y", "rad"), ("give", "m"))
-        return {name: self.quantity(at + i, unit) for i, (name, unit) in enumerate(units)}
-
     def wander(self) -> tuple[F64, ...]:
         """Run -> (K,) m by which the base's height is off at its knots."""
         steps = [self.fit.mean[a:b] for a, b in zip(self.starts[:-1], self.starts[1:], strict=True)]
@@ -265,15 +260,12 @@ class _Heights(_Search):
         first, runs = int(self.starts[-1]), len(self.starts) - 1
         return tuple(self.fit.mean[first + 2 * r : first + 2 * r + 2] for r in range(runs))
 
-    def base_errors(self) -> F64:
-        """(R,) m of the base's height at the runs' starts."""
-        return self.fit.mean[self.starts[:-1][np.diff(self.starts) > 0]]
-
 
 class _Wobble(_Search):
     """How far feet move sideways as load comes onto a place beside the middle, and come back: what stays is slip."""
 
     kinds: ClassVar = {"wobble": (0,)}
+    units: ClassVar = {"wobble": "m"}
 
     def __init__(self, touches: Touches, names: Sequence[str]) -> None:
         rows, y, group = [], [], []
@@ -297,8 +289,9 @@ class _Wobble(_Search):
         prior = np.concatenate([[GIVES, GIVES], everyday])
         super().__init__(design, moved, groups, prior, np.array([GIVES]), 2, names)
 
-    def quantities(self, k: int) -> dict[str, Quantity]:
-        return {"wobble": self.quantity(self.first + k, "m")}
+
+SLIDING = 0.02
+"""m/s from which a foot slides."""
 
 
 def _slips(touches: Touches, names: Sequence[str], rng: np.random.Generator) -> list[tuple[dict[str, Quantity], float]]:
@@ -308,52 +301,39 @@ def _slips(touches: Touches, names: Sequence[str], rng: np.random.Generator) -> 
     others (slips are positive and skewed, so logarithms are compared) although it bears less push sideways than they.
     """
     by_name = {name: [t for t in touches.items if t.name == name and len(t.time) > 2] for name in names}
-    slid = {name: np.array([_length(t) for t in items]) for name, items in by_name.items()}
+    slid = {n: np.array([np.linalg.norm(t.slid[-1] - t.slid[0]) for t in items]) for n, items in by_name.items()}
     borne = {
-        name: float(np.quantile(np.concatenate([_ratio(t) for t in items]), 0.9))
-        for name, items in by_name.items()
-        if items
+        n: float(np.quantile(np.concatenate([_ratio(t) for t in items]), 0.9)) for n, items in by_name.items() if items
     }
     price = float(np.log(max(len(names), 1)))
+
+    def typical(values: F64, unit: str) -> Quantity:
+        low, high = np.quantile(np.median(rng.choice(values, (400, len(values))), axis=1), [0.05, 0.95])
+        return Quantity(float(np.median(values)), float(low), float(high), unit)
+
     result: list[tuple[dict[str, Quantity], float]] = []
     for name in names:
         mine = slid[name]
         if len(mine) < LEAST_TOUCHES:
             result.append(({}, 0.0))
             continue
-        means = np.median(rng.choice(mine, (400, len(mine))), axis=1)
-        low, high = np.quantile(means, [0.05, 0.95])
-        slip = Quantity(float(np.median(mine)), float(low), float(high), "m")
-        quantities = {"slip": slip}
-        others = np.concatenate([v for other, v in slid.items() if other != name and len(v)] or [np.zeros(0)])
-        odds = 0.0
+        quantities = {"slip": typical(mine, "m")}
+        others = np.concatenate([np.zeros(0), *(v for other, v in slid.items() if other != name)])
         usual = float(np.median([v for other, v in borne.items() if other != name] or [0.0]))
-        if len(others) >= LEAST_TOUCHES and slip.low - np.median(others) > SLIDES and borne[name] < HELD * usual:
+        odds = 0.0
+        farther = len(others) >= LEAST_TOUCHES and quantities["slip"].low - np.median(others) > SLIDES
+        if farther and borne[name] < HELD * usual:
             a, b = np.log(mine + 1e-3), np.log(others + 1e-3)
             scatter = 1.4826 * float(np.median(np.abs(b - np.median(b)))) + 1e-6
             z = (np.median(a) - np.median(b)) / (scatter * np.sqrt(np.pi / 2 * (1 / len(a) + 1 / len(b))))
             odds = float(0.5 * z * abs(z)) - price
-        grip = np.concatenate([_grip(t) for t in by_name[name]])
+        grip = np.concatenate([_ratio(t)[t.speed > SLIDING] for t in by_name[name]])
         if odds >= EVIDENCE and len(grip) >= LEAST_TOUCHES:
-            means = np.median(rng.choice(grip, (400, len(grip))), axis=1)
-            low, high = np.quantile(means, [0.05, 0.95])
-            quantities["friction"] = Quantity(float(np.median(grip)), float(low), float(high), "ratio")
+            quantities["friction"] = typical(grip, "ratio")
         result.append((quantities, odds if odds >= EVIDENCE else 0.0))
     return result
 
 
-def _length(t: Touch) -> float:
-    return float(np.linalg.norm(t.slid[-1] - t.slid[0]))
-
-
-SLIDING = 0.02
-"""m/s from which a foot slides."""
-
-
-def _grip(t: Touch) -> F64:
-    """Sideways over downward load at the moments in which the foot slides: the coefficient of friction."""
-    return _ratio(t)[t.speed > SLIDING]
-
-
 def _ratio(t: Touch) -> F64:
+    """(M,) sideways over downward load; while the foot slides, the coefficient of friction."""
     return np.asarray(np.linalg.norm(t.shear, axis=1) / t.load)

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from math import degrees
 
 import numpy as np
 
 from realsim.gap.checks.camera.calibrate import CameraFound
 from realsim.gap.checks.camera.terrain import Terrain
-from realsim.gap.checks.footholds.footholds import Foothold, FootholdMap, Quantity
-from realsim.gap.checks.footholds.verdict import SceneVerdict, said
-from realsim.report import page, svg
+from realsim.gap.checks.footholds.footholds import Foothold, FootholdMap
+from realsim.gap.checks.footholds.verdict import SceneVerdict, sentence
+from realsim.report import page, raster, svg
 
 WORDS = {"height": "height", "tilt": "tilt", "give": "soft", "slip": "slippery", "wobble": "wobbles"}
-LOW, MID, HIGH = (37, 99, 190), (226, 226, 222), (190, 60, 37)
+COLORS = (37, 99, 190), (226, 226, 222), (190, 60, 37)
 
 
 def scene_page(
@@ -41,7 +40,7 @@ def scene_page(
         page.verdict(verdict.level, verdict.headline, verdict.reasons, verdict.next),
         page.facts(facts),
         page.card(
-            "Map", _map(found, terrain) + svg.color_bar(-20, 20, "mm", (LOW, MID, HIGH)),
+            "Map", _map(found, terrain) + svg.color_bar(-20, 20, "mm", COLORS),
             "Every disc is a foothold at the middle of its contacts, coloured by how much it is higher or lower than "
             "scanned; a ring marks those that differ beyond everyday deviations. Grey: the scanned tops.", wide=True,
         ),
@@ -70,8 +69,11 @@ def _map(found: FootholdMap, terrain: Terrain) -> str:
         at = [hold.place[:2]]
         if hold.changes:
             axes.dots(at, "var(--ink)", radius=11)
-        height = hold.quantities["height"]
-        axes.dots(at, _color(1000 * height.value / 20), radius=9, titles=[_title(hold)])
+        h = hold.quantities["height"]
+        r, g, b = raster.colorize(h.value, -0.02, 0.02, COLORS)[:3]
+        mm = f"{1000 * h.value:+.0f} mm [{1000 * h.low:.0f}, {1000 * h.high:.0f}]"
+        title = sentence(hold) if hold.changes else f"{hold.name}: {mm}, {hold.touches} contacts"
+        axes.dots(at, f"rgb({r},{g},{b})", radius=9, titles=[title])
     for hold in found.changed:
         text = ", ".join(_short(hold, kind) for kind in hold.changes)
         axes.text(*hold.place[:2], text, dy=-16, fill="var(--ink)", halo=True)
@@ -92,20 +94,6 @@ def _outlines(terrain: Terrain, low: np.ndarray, high: np.ndarray) -> list[np.nd
     return found
 
 
-def _color(share: float) -> str:
-    t = float(np.clip(share, -1, 1))
-    ends = (MID, HIGH) if t > 0 else (MID, LOW)
-    r, g, b = (round(a + abs(t) * (z - a)) for a, z in zip(*ends, strict=True))
-    return f"rgb({r},{g},{b})"
-
-
-def _title(hold: Foothold) -> str:
-    if hold.changes:
-        return said(hold)
-    h = hold.quantities["height"]
-    return f"{hold.name}: {1000 * h.value:+.0f} mm [{1000 * h.low:.0f}, {1000 * h.high:.0f}], {hold.touches} contacts"
-
-
 def _short(hold: Foothold, kind: str) -> str:
     q = hold.quantities
     if kind == "height":
@@ -118,35 +106,20 @@ def _short(hold: Foothold, kind: str) -> str:
 
 
 def _table(found: FootholdMap) -> str:
-    head = [
-        "foothold",
-        "x, y (m)",
-        "contacts",
-        "height (mm)",
-        "tilt (°)",
-        "gives way (mm)",
-        "slides (mm)",
-        "sways (mm)",
-    ]
+    parts = {"height": "height (mm)", "tilt": "tilt (°)", "give": "gives way (mm)", "slip": "slides (mm)"}
+    parts |= {"wobble": "sways (mm)"}
     rows = []
     for hold in sorted(found.footholds, key=lambda h: (not h.changes, h.name)):
         q = hold.quantities
-
-        def cell(kind: str, text: str, hold: Foothold = hold) -> str:
-            return f"<b>{page.esc(text)}</b>" if kind in hold.changes else page.esc(text)
-
-        def mm(name: str, q: Mapping[str, Quantity] = q) -> str:
-            if name not in q:
-                return "–"
-            return f"{1000 * q[name].value:.1f} [{1000 * q[name].low:.1f}, {1000 * q[name].high:.1f}]"
-
-        tilt = f"{degrees(q['tilt_x'].value):.1f}, {degrees(q['tilt_y'].value):.1f}"
-        rows.append([
-            page.esc(hold.name), f"{hold.place[0]:.2f}, {hold.place[1]:.2f}", str(hold.touches),
-            cell("height", mm("height")), cell("tilt", tilt), cell("give", mm("give")), cell("slip", mm("slip")),
-            cell("wobble", mm("wobble")),
-        ])  # fmt: skip
-    return page.table(head, rows, raw=range(8))
+        texts = {}
+        for kind in parts:
+            texts[kind] = "–"
+            if kind in q:
+                texts[kind] = f"{1000 * q[kind].value:.1f} [{1000 * q[kind].low:.1f}, {1000 * q[kind].high:.1f}]"
+        texts["tilt"] = f"{degrees(q['tilt_x'].value):.1f}, {degrees(q['tilt_y'].value):.1f}"
+        cells = [f"<b>{text}</b>" if kind in hold.changes else text for kind, text in texts.items()]
+        rows.append([page.esc(hold.name), f"{hold.place[0]:.2f}, {hold.place[1]:.2f}", str(hold.touches), *cells])
+    return page.table(["foothold", "x, y (m)", "contacts", *parts.values()], rows, raw=range(8))
 
 
 def camera_cards(found: CameraFound | None) -> list[str]:

@@ -79,7 +79,7 @@ def check_camera(case: Case, scene: Path | None, progress: Progress | None = Non
 def by_feet(case: Case, found: FootholdMap) -> Correction:
     """How much the logged base is off, from feet on the scene, for a place on the robot."""
 
-    def correct(run: int, time: float, place: F64) -> tuple[F64, F64]:
+    def correct(run: int, time: float, place: F64) -> F64:
         logged = case.runs[run]
         base = [np.interp(time, logged.time, column) for column in logged.signals["base_pos"].T]
         return found.correction(run, time, place - np.array(base))

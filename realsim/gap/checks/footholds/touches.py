@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -77,22 +78,18 @@ def find_touches(case: Case, terrain: Terrain) -> Touches:
         GapError: signals are missing, or most contacts lie where the scene has nothing.
     """
     _check(case)
-    import mujoco
-
-    model = case.spec.copy().compile()
-    data = mujoco.MjData(model)
-    points = {f: underside(model, body) for f, body in enumerate(case.contact_bodies)}
-    found = Touches(weight=9.81 * float(model.body_subtreemass[0]))
+    feet = _Feet(case, terrain)
+    found = Touches(weight=feet.weight)
     for r, run in enumerate(case.runs):
         motion = estimate(case, run)
         for f, (begin, end) in _stances(run, motion):
-            moments = _moments(motion, begin, end)
-            if len(moments) < 2:
-                continue
-            touch = _touch(case, terrain, model, data, run, motion, (r, f), moments, points, found.weight)
-            found.lost += touch is None
-            if touch is not None and len(touch.time) >= 2:
-                found.items.append(touch)
+            count = min(max(2, int((end - begin - 2 * EDGE) / EVERY) + 1), MOST)
+            wanted = np.unique(np.searchsorted(motion.time, np.linspace(begin + EDGE, end - EDGE, count)))
+            moments = [int(n) for n in wanted if n < len(motion.time) and motion.good[n]]
+            if len(moments) >= 2:
+                touch, near = feet.touch(r, f, motion, moments)
+                found.lost += not near
+                found.items += [touch] if touch is not None else []
     total = len(found.items) + found.lost
     if found.lost > 0.5 * total or not found.items:
         raise GapError(
@@ -150,8 +147,11 @@ def underside(model: Any, body: str) -> list[Part]:
             turn = np.linspace(0, 2 * np.pi, 24, endpoint=False)
             rim = np.column_stack([np.cos(turn), np.sin(turn)]) * size[0]
             found.append(Part(g, np.vstack([np.column_stack([rim, np.full(24, z)]) for z in (-size[1], size[1])])))
-        else:
-            found.append(Part(g, _ball() * size))
+        else:  # an ellipsoid: points spread by Fibonacci's spiral
+            k = np.arange(200) + 0.5
+            z, turn = 1 - k / 100, np.pi * (1 + 5**0.5) * k
+            flat = np.sqrt(1 - z * z)
+            found.append(Part(g, np.column_stack([flat * np.cos(turn), flat * np.sin(turn), z]) * size))
     return found
 
 
@@ -173,23 +173,12 @@ class Part:
 
 def _bowl() -> F64:
     """(P, 3) of the lower half of the unit sphere: its lowest point, and rings around it."""
-    turn = np.linspace(0, 2 * np.pi, 8, endpoint=False)
-    rings = [
-        [np.sin(a) * np.cos(turn), np.sin(a) * np.sin(turn), np.full(8, -np.cos(a))]
-        for a in np.radians([12, 30, 50, 75])
-    ]
-    return np.vstack([[[0.0, 0.0, -1.0]], *(np.transpose(ring) for ring in rings)])
+    turn, low = np.meshgrid(np.linspace(0, 2 * np.pi, 8, endpoint=False), np.radians([12, 30, 50, 75]))
+    rings = np.stack([np.sin(low) * np.cos(turn), np.sin(low) * np.sin(turn), -np.cos(low)], axis=-1)
+    return np.vstack([[[0.0, 0.0, -1.0]], rings.reshape(-1, 3)])
 
 
 _BOWL = _bowl()
-
-
-def _ball(count: int = 200) -> F64:
-    """(count, 3) points spread over the unit sphere (Fibonacci's spiral)."""
-    k = np.arange(count) + 0.5
-    z, turn = 1 - 2 * k / count, np.pi * (1 + 5**0.5) * k
-    flat = np.sqrt(1 - z * z)
-    return np.column_stack([flat * np.cos(turn), flat * np.sin(turn), z])
 
 
 def _stances(run: Run, motion: Motion) -> list[tuple[int, tuple[float, float]]]:
@@ -213,66 +202,85 @@ def _stances(run: Run, motion: Motion) -> list[tuple[int, tuple[float, float]]]:
     return found
 
 
-def _moments(motion: Motion, begin: float, end: float) -> list[int]:
-    count = min(max(2, int((end - begin - 2 * EDGE) / EVERY) + 1), MOST)
-    wanted = np.linspace(begin + EDGE, end - EDGE, count)
-    return [int(n) for n in np.unique(np.searchsorted(motion.time, wanted)) if n < len(motion.time) and motion.good[n]]
+class _Feet:
+    """The feet of a robot over a terrain, at moments of its log."""
 
+    def __init__(self, case: Case, terrain: Terrain) -> None:
+        import mujoco
 
-def _touch(
-    case: Case, terrain: Terrain, model: Any, data: Any, run: Run, motion: Motion, who: tuple[int, int],
-    moments: list[int], points: dict[int, list[Part]], weight: float,
-) -> Touch | None:  # fmt: skip
-    """One contact, or None where no top is near."""
-    import mujoco
+        self.case, self.terrain = case, terrain
+        self.model = case.spec.copy().compile()
+        self.data = mujoco.MjData(self.model)
+        self.bodies = [self.model.body(name).id for name in case.contact_bodies]
+        self.parts = [underside(self.model, name) for name in case.contact_bodies]
+        self.weight = 9.81 * float(self.model.body_subtreemass[0])
+        """N"""
+        free = int(np.flatnonzero(self.model.jnt_type == 0)[0])
+        self.base, self.base_dof = int(self.model.jnt_qposadr[free]), int(self.model.jnt_dofadr[free])
 
-    r, f = who
-    rows: list[tuple[float, ...]] = []
-    holds: list[tuple[str, int]] = []
-    middles: dict[str, tuple[F64, float]] = {}
-    slid, before, body = np.zeros(2), None, model.body(case.contact_bodies[f]).id
-    for n in moments:
-        needed = needed_force(model, data, motion, n)
-        driven = drive_force(case, model, data, run, float(motion.time[n]))
-        data.qpos[:], data.qvel[:] = motion.qpos[n], motion.qvel[n]
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
-        height, geom, low = clearance(terrain, data, points[f])
-        if geom < 0:
-            continue
-        force = _forces(case, model, data, run, float(motion.time[n]), needed - driven, points)
-        now = _Sole(float(motion.time[n]), data.xpos[body].copy(), data.xmat[body].reshape(3, 3).copy(), low)
-        step = np.zeros(2) if before is None else now.moved_since(before)
-        speed = 0.0 if before is None else float(np.linalg.norm(step)) / (now.time - before.time)
-        slid, before = slid + step, now
-        name, middle, _ = terrain.foothold(geom, low)
-        push = force.get(f, np.full(3, np.nan))
-        if not push[2] > LOADED * weight:
-            continue
-        holds.append((name, geom))
-        middles[name] = middle, float(low[2] - height)
-        base = motion.qpos[n][_base_address(case)]
-        rows.append(
-            (motion.time[n], height, *(low[:2] - middle), *(low[:2] - base[:2]), push[2], *-push[:2], *slid, speed)
-        )
-    if not rows:
-        return None if not holds and before is None else _empty(r, f)
-    usual = max(set(holds), key=holds.count)
-    a = np.array([row for row, hold in zip(rows, holds, strict=True) if hold == usual])
-    return Touch(
-        r,
-        f,
-        *usual,
-        a[:, 0],
-        a[:, 1],
-        *middles[usual[0]],
-        a[:, 2:4],
-        a[:, 4:6],
-        a[:, 6],
-        a[:, 7:9],
-        a[:, 9:11] - a[0, 9:11],
-        a[:, 11],
-    )
+    def touch(self, r: int, f: int, motion: Motion, moments: Sequence[int]) -> tuple[Touch | None, bool]:
+        """(a contact of a run's foot on its most usual foothold, or None where it hardly bears load, whether a top is
+        near)."""
+        import mujoco
+
+        model, data, run = self.model, self.data, self.case.runs[r]
+        rows: list[tuple[float, ...]] = []
+        holds: list[tuple[str, int]] = []
+        places: dict[str, tuple[F64, float]] = {}
+        slid, before = np.zeros(2), None
+        for n in moments:
+            time = float(motion.time[n])
+            lacking = needed_force(model, data, motion, n) - drive_force(self.case, model, data, run, time)
+            data.qpos[:], data.qvel[:] = motion.qpos[n], motion.qvel[n]
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)
+            height, geom, low = clearance(self.terrain, data, self.parts[f])
+            if geom < 0:
+                continue
+            push = self.forces(run, time, lacking).get(f, np.full(3, np.nan))
+            body = self.bodies[f]
+            now = _Sole(time, data.xpos[body].copy(), data.xmat[body].reshape(3, 3).copy(), low)
+            step = np.zeros(2) if before is None else now.moved_since(before)
+            speed = 0.0 if before is None else float(np.linalg.norm(step)) / (now.time - before.time)
+            slid, before = slid + step, now
+            if not push[2] > LOADED * self.weight:
+                continue
+            name, middle, _ = self.terrain.foothold(geom, low)
+            holds.append((name, geom))
+            places[name] = middle, float(low[2] - height)
+            arm = low[:2] - motion.qpos[n][self.base : self.base + 2]
+            rows.append((time, height, *(low[:2] - middle), *arm, push[2], *-push[:2], *slid, speed))
+        usual = max(set(holds), key=holds.count, default=("", -1))
+        a = np.array([row for row, hold in zip(rows, holds, strict=True) if hold == usual])
+        if len(a) < 2:
+            return None, before is not None
+        middle, top = places[usual[0]]
+        return Touch(
+            r, f, *usual, time=a[:, 0], height=a[:, 1], middle=middle, top=top, place=a[:, 2:4], arm=a[:, 4:6],
+            load=a[:, 6], shear=a[:, 7:9], slid=a[:, 9:11] - a[0, 9:11], speed=a[:, 11],
+        ), True  # fmt: skip
+
+    def forces(self, run: Run, when: float, lacking: F64) -> dict[int, F64]:
+        """Foot -> (3,) N that the ground pushes it with, from what the joints' rows lack; the base's only steady it."""
+        import mujoco
+
+        contact = run.signals["contact"][int(np.argmin(np.abs(run.time - when)))]
+        feet = [f for f in range(len(self.bodies)) if not contact[f] <= 0.5]
+        rows = []
+        for f in feet:
+            world = np.vstack([part.world(self.data) for part in self.parts[f]])
+            jac = np.zeros((3, self.model.nv))
+            mujoco.mj_jac(self.model, self.data, jac, None, world[int(np.argmin(world[:, 2]))], self.bodies[f])
+            rows.append(jac)
+        if not rows:
+            return {}
+        J = np.vstack(rows)
+        sigma = np.full(self.model.nv, 0.3)
+        sigma[self.base_dof : self.base_dof + 6] = 0.1 * self.weight
+        known = np.isfinite(lacking)
+        A = np.vstack([(J.T / sigma[:, None])[known], np.eye(len(J)) / (3 * self.weight)])
+        b = np.concatenate([(lacking / sigma)[known], np.zeros(len(J))])
+        return dict(zip(feet, np.linalg.lstsq(A, b, rcond=None)[0].reshape(-1, 3), strict=True))
 
 
 @dataclass(frozen=True)
@@ -289,26 +297,9 @@ class _Sole:
 
         The material points that are lowest before and after are both followed from one moment to the other.
         """
-        steps = [self._follow(before, point) for point in (before._own(before.low), self._own(self.low))]
+        kept = (sole.axes.T @ (sole.low - sole.origin) for sole in (before, self))
+        steps = [self.origin + self.axes @ own - (before.origin + before.axes @ own) for own in kept]
         return np.mean(steps, axis=0)[:2]
-
-    def _own(self, point: F64) -> F64:
-        return self.axes.T @ (point - self.origin)
-
-    def _follow(self, before: _Sole, own: F64) -> F64:
-        return (self.origin + self.axes @ own) - (before.origin + before.axes @ own)
-
-
-def _empty(r: int, f: int) -> Touch:
-    """A contact that never bore load."""
-    none, pair = np.zeros(0), np.zeros((0, 2))
-    return Touch(r, f, "", -1, none, none, none, 0.0, pair, pair, none, pair, pair, none)
-
-
-def _base_address(case: Case) -> slice:
-    joint = int(np.flatnonzero(case.model.jnt_type == 0)[0])
-    start = int(case.model.jnt_qposadr[joint])
-    return slice(start, start + 3)
 
 
 def clearance(terrain: Terrain, data: Any, points: list[Part]) -> tuple[float, int, F64]:
@@ -325,32 +316,3 @@ def clearance(terrain: Terrain, data: Any, points: list[Part]) -> tuple[float, i
         if point[2] - top < min(best[0], REACH):
             best = (float(point[2] - top), geom, point)
     return best
-
-
-def _forces(
-    case: Case, model: Any, data: Any, run: Run, when: float, rest: F64, points: dict[int, list[Part]]
-) -> dict[int, F64]:
-    """Foot -> (3,) N that the ground pushes it with, from what the joints' rows lack; the base's only steady it."""
-    import mujoco
-
-    at = int(np.argmin(np.abs(run.time - when)))
-    contact = run.signals["contact"][at]
-    feet = [f for f in range(len(case.contact_bodies)) if not contact[f] <= 0.5]
-    if not feet:
-        return {}
-    rows = []
-    for f in feet:
-        world = np.vstack([part.world(data) for part in points[f]])
-        jac = np.zeros((3, model.nv))
-        low = world[int(np.argmin(world[:, 2]))]
-        mujoco.mj_jac(model, data, jac, None, low, model.body(case.contact_bodies[f]).id)
-        rows.append(jac)
-    J = np.vstack(rows)
-    free = int(model.jnt_dofadr[int(np.flatnonzero(model.jnt_type == 0)[0])])
-    sigma = np.full(model.nv, 0.3)
-    sigma[free : free + 6] = 0.1 * 9.81 * float(model.body_subtreemass[0])
-    known = np.isfinite(rest)
-    A = np.vstack([(J.T / sigma[:, None])[known], np.eye(len(J)) / (3 * 9.81 * float(model.body_subtreemass[0]))])
-    b = np.concatenate([(rest / sigma)[known], np.zeros(len(J))])
-    force = np.linalg.lstsq(A, b, rcond=None)[0].reshape(-1, 3)
-    return dict(zip(feet, force, strict=True))

@@ -43,7 +43,7 @@ def judge(found: FootholdMap, scene: Path, camera: CameraFound | None = None) ->
     beside = found.lost / max(found.contacts, 1)
     if found.changed:
         level = "bad" if share > MANY else "look"
-        reasons += [said(hold) for hold in found.changed]
+        reasons += [sentence(hold) for hold in found.changed]
         steps.append("train on the corrected scene.xml of this output, or scan the terrain again")
     if beside > MANY:
         level = "bad"
@@ -83,7 +83,7 @@ def scan_verdict(scene: Path) -> dict[str, Any] | None:
     return verdict if known else None
 
 
-def said(hold: Foothold) -> str:
+def sentence(hold: Foothold) -> str:
     """A foothold's changes as a sentence."""
     q = hold.quantities
     parts = []
@@ -92,7 +92,9 @@ def said(hold: Foothold) -> str:
             way = "higher" if q["height"].value > 0 else "lower"
             parts.append(f"{way} by {_size(q['height'])} mm")
         elif kind == "tilt":
-            parts += [f"tilted by {_angle(q[name])}° about {name[-1]}" for name in ("tilt_x", "tilt_y")]
+            for axis in "xy":
+                value, low, high = (degrees(getattr(q[f"tilt_{axis}"], end)) for end in ("value", "low", "high"))
+                parts.append(f"tilted by {value:.1f} [{low:.1f}, {high:.1f}]° about {axis}")
         elif kind == "give":
             parts.append(f"softer: it gives way by {_size(q['give'])} mm under the robot's weight")
         elif kind == "slip":
@@ -108,7 +110,3 @@ def _size(q: Quantity) -> str:
     """A length without its sign in mm, with its interval."""
     low, high = sorted((q.low, q.high)) if q.value > 0 else (-q.high, -q.low)
     return f"{1000 * abs(q.value):.0f} [{1000 * low:.0f}, {1000 * high:.0f}]"
-
-
-def _angle(q: Quantity) -> str:
-    return f"{degrees(q.value):.1f} [{degrees(q.low):.1f}, {degrees(q.high):.1f}]"

@@ -276,7 +276,7 @@ def test_policies_that_cannot_be_read(tmp_path: Path) -> None:
         ("a: " + "[" * 3000, "YAML"), ("a: &a [1]\nb: *a\n", "YAML"), ("3", "no map"), ("x: 1\n", "no contract"),
     ):  # fmt: skip
         (tmp_path / "deploy.yaml").write_text(text)
-        with pytest.raises(GapError, match=match):
+        with pytest.raises(RealsimError, match=match):
             load_policy(tmp_path / "bare.onnx", tmp_path / "deploy.yaml", JOINTS)
     (tmp_path / "deploy.yaml").write_text("joint_ids_map: [9]\n")
     with pytest.raises(GapError, match="cannot be read"):
