@@ -7,158 +7,84 @@ from dataclasses import replace
 from functools import cache
 from importlib import import_module
 from importlib.metadata import entry_points
+from typing import Any
 
 from realsim.cli.command import Command, Tool
 from realsim.core.errors import UnknownNameError
 
-_HERE = "realsim.cli.commands"
-COMMANDS: dict[str, Command] = {
-    "reconstruct": Command(
-        f"{_HERE}.reconstruct:reconstruct",
-        "frames or a scan -> a metric, level MuJoCo scene with a report",
-        "realsim reconstruct my_capture --out scene --robot g1",
-        "Scenes",
-        "recon",
-        (
-            "--out", "--robot", "--overwrite", "--strict", "--layout", "--depth-unit", "--unit", "--every", "--poses",
-            "--backend", "--keep", "--start", "--goal", "--contact", "--since", "--tag-size",
+_OWN: dict[str, dict[str, tuple[Any, ...]]] = {
+    "Scenes": {
+        "reconstruct": (
+            "frames or a scan -> a metric, level MuJoCo scene with a report",
+            "realsim reconstruct my_capture --out scene --robot g1", "recon",
+            ("--out", "--robot", "--overwrite", "--strict", "--layout", "--depth-unit", "--unit", "--every", "--poses",
+             "--backend", "--keep", "--start", "--goal", "--contact", "--since", "--tag-size"),
+            Tool("Turn a capture or scan into a metric, level MuJoCo scene; minutes. Read the verdict first.",
+                 "frames", "out", ("robot", "max_frames", "seed", "overwrite")),
         ),
-        Tool(
-            "Turn a capture or scan into a metric, level MuJoCo scene; minutes. Read the verdict first.",
-            "frames", "out", ("robot", "max_frames", "seed", "overwrite"),
+        "inspect": (
+            "how a capture is recognised, and what is wrong with it", "realsim inspect my_capture", "recon", (),
+            Tool("Say what a capture folder or scan is taken for, every convention assumed, and what is wrong with it.",
+                 "frames"),
         ),
-    ),
-    "inspect": Command(
-        f"{_HERE}.inspect:inspect",
-        "how a capture is recognised, and what is wrong with it",
-        "realsim inspect my_capture",
-        "Scenes",
-        "recon",
-        tool=Tool(
-            "Say what a capture folder or scan is taken for, every convention assumed, and what is wrong with it.",
-            "frames",
+        "contact": (
+            "collision geometry for any mesh, chosen by measured error and cost",
+            "realsim contact stairs.stl --unit mm --out stairs", "recon",
+            ("--out", "--unit", "--up", "--ground-z", "--robot", "--overwrite", "--strict", "--contact"),
+            Tool("Give a mesh file collision geometry for MuJoCo, chosen by measured error; a minute. Read the verdict "
+                 "first.", "meshes", "out", ("unit", "up", "ground_z", "overwrite")),
         ),
-    ),
-    "contact": Command(
-        f"{_HERE}.contact:contact",
-        "collision geometry for any mesh, chosen by measured error and cost",
-        "realsim contact stairs.stl --unit mm --out stairs",
-        "Scenes",
-        "recon",
-        ("--out", "--unit", "--up", "--ground-z", "--robot", "--overwrite", "--strict", "--contact"),
-        Tool(
-            "Give a mesh file collision geometry for MuJoCo, chosen by measured error; a minute. Read the verdict "
-            "first.",
-            "meshes", "out", ("unit", "up", "ground_z", "overwrite"),
+        "lint": ("what an MJCF of your own collides as: hulls, phantoms, what is missing, seams",
+                 "realsim lint terrain.xml", "recon"),
+        "export": (
+            "a scene in other formats: USD, URDF, SDF, GLB, height map, ...", "realsim export scene --to usd,urdf", "",
+            (), Tool("Write a scene in the formats of other tools.", "scenes", "out", ("to", "overwrite")),
         ),
-    ),
-    "lint": Command(
-        f"{_HERE}.lint:lint",
-        "what an MJCF of your own collides as: hulls, phantoms, what is missing, seams",
-        "realsim lint terrain.xml",
-        "Scenes",
-        "recon",
-    ),
-    "export": Command(
-        f"{_HERE}.export:export",
-        "a scene in other formats: USD, URDF, SDF, GLB, height map, ...",
-        "realsim export scene --to usd,urdf",
-        "Scenes",
-        tool=Tool("Write a scene in the formats of other tools.", "scenes", "out", ("to", "overwrite")),
-    ),
-    "view": Command(
-        f"{_HERE}.view:view", "look at a scene in the browser, live", "realsim view scene", "Scenes", "viewer"
-    ),
-    "record": Command(
-        f"{_HERE}.record:record",
-        "frames of a RealSense camera into a folder",
-        "realsim record my_capture --seconds 30",
-        "Scenes",
-        "realsense",
-    ),
-    "model": Command(
-        f"{_HERE}.model:model",
-        "check a feed-forward model in an ONNX file",
-        "realsim model inspect model.onnx",
-        "Scenes",
-        "recon",
-    ),
-    "log": Command(
-        f"{_HERE}.log:log",
-        "contents of a robot's recording (MCAP, bags, LeRobot, CSV, ...), and a case made from it",
-        "realsim log walk.mcap --model robot.xml --out case",
-        "Robots and their logs",
-    ),
-    "diagnose": Command(
-        f"{_HERE}.diagnose:diagnose",
-        "a robot's logs and its model -> where the sim-to-real gap lies, what causes it, how much",
-        "realsim diagnose my_case --out diagnosis",
-        "Robots and their logs",
-        common=(
-            "--out", "--model", "--policy", "--scene", "--since", "--check", "--init", "--effects", "--overwrite",
-            "--strict",
+        "view": ("look at a scene in the browser, live", "realsim view scene", "viewer"),
+        "record": ("frames of a RealSense camera into a folder", "realsim record my_capture --seconds 30", "realsense"),
+        "model": ("check a feed-forward model in an ONNX file", "realsim model inspect model.onnx", "recon"),
+    },
+    "Robots and their logs": {
+        "log": ("contents of a robot's recording (MCAP, bags, LeRobot, CSV, ...), and a case made from it",
+                "realsim log walk.mcap --model robot.xml --out case"),
+        "diagnose": (
+            "a robot's logs and its model -> where the sim-to-real gap lies, what causes it, how much",
+            "realsim diagnose my_case --out diagnosis", "",
+            ("--out", "--model", "--policy", "--scene", "--since", "--check", "--init", "--effects", "--overwrite",
+             "--strict"),
+            Tool("Say where a robot's logs differ from its simulator and what causes it; minutes, up to ten for a "
+                 "humanoid. With `check`, only say within seconds whether the log can be used and what is odd about "
+                 "it.", "cases", "out", ("check", "max_causes", "overwrite"),
+                 ("schema", "runs", "health.warnings", "verdict", "sentence", "causes", "equivalent", "where",
+                  "shrinkage", "unexplained_share", "next_experiment", "seconds")),
         ),
-        tool=Tool(
-            "Say where a robot's logs differ from its simulator and what causes it; minutes, up to ten for a humanoid. "
-            "With `check`, only say within seconds whether the log can be used and what is odd about it.",
-            "cases", "out", ("check", "max_causes", "overwrite"),
-            ("schema", "runs", "health.warnings", "verdict", "sentence", "causes", "equivalent", "where", "shrinkage",
-             "unexplained_share", "next_experiment", "seconds"),
+        "excite": ("the recording that tells apart what a diagnosis could not: command files within the robot's limits",
+                   "realsim excite diagnosis --out experiment"),
+        "doctor": ("a robot's log and its policy -> contract, delay, physics, camera and terrain on one page",
+                   "realsim doctor my_case --policy policy.onnx --out doctor"),
+        "footholds": (
+            "a robot's log against the scene it walked on -> which foothold differs from the scan, by how much",
+            "realsim footholds my_case --scene scene --out footholds",
         ),
-    ),
-    "excite": Command(
-        f"{_HERE}.excite:excite",
-        "the recording that tells apart what a diagnosis could not: command files within the robot's limits",
-        "realsim excite diagnosis --out experiment",
-        "Robots and their logs",
-    ),
-    "doctor": Command(
-        f"{_HERE}.doctor:doctor",
-        "a robot's log and its policy -> contract, delay, physics, camera and terrain on one page",
-        "realsim doctor my_case --policy policy.onnx --out doctor",
-        "Robots and their logs",
-    ),
-    "footholds": Command(
-        f"{_HERE}.footholds:footholds",
-        "a robot's log against the scene it walked on -> which foothold differs from the scan, by how much",
-        "realsim footholds my_case --scene scene --out footholds",
-        "Robots and their logs",
-    ),
-    "mcp": Command(
-        f"{_HERE}.mcp:mcp",
-        "realsim as tools for agents (Model Context Protocol)",
-        "realsim mcp --root ~/captures ~/scenes",
-        "Machines",
-        "mcp",
-    ),
-    "schema": Command(
-        f"{_HERE}.schema:schema",
-        "what a command prints with --json, as a JSON Schema",
-        "realsim schema reconstruct",
-        "Machines",
-    ),
-    "app": Command(
-        f"{_HERE}.app:app",
-        "the commands as a page in the browser, on this machine",
-        "realsim app my_folder",
-        "To try",
-        "app",
-    ),
-    "demo": Command(
-        f"{_HERE}.demo:demo",
-        "render, reconstruct and measure, end to end",
-        "realsim demo --out demo_out",
-        "To try",
-        "recon",
-    ),
-    "synth": Command(
-        f"{_HERE}.synth:synth",
-        "render a synthetic capture with its truth",
-        "realsim synth --terrain boxes --out synthetic",
-        "To try",
-        "recon",
-    ),
+    },
+    "Machines": {
+        "mcp": ("realsim as tools for agents (Model Context Protocol)", "realsim mcp --root ~/captures ~/scenes",
+                "mcp"),
+        "schema": ("what a command prints with --json, as a JSON Schema", "realsim schema reconstruct"),
+    },
+    "To try": {
+        "app": ("the commands as a page in the browser, on this machine", "realsim app my_folder", "app"),
+        "demo": ("render, reconstruct and measure, end to end", "realsim demo --out demo_out", "recon"),
+        "synth": ("render a synthetic capture with its truth", "realsim synth --terrain boxes --out synthetic",
+                  "recon"),
+    },
 }  # fmt: skip
+"""Group -> name -> summary, example, extra, common, tool: fields of `Command`."""
+COMMANDS: dict[str, Command] = {
+    name: Command(f"realsim.cli.commands.{name}:{name}", summary, example, group, *more)
+    for group, known in _OWN.items()
+    for name, (summary, example, *more) in known.items()
+}
 
 
 def commands() -> dict[str, Command]:

@@ -124,6 +124,10 @@ def gap_in_time(run: Run) -> Run:
     return replace(run, time=run.time + 0.3 * (np.arange(len(run.time)) > 100))
 
 
+def another_course(torque: Any) -> Any:
+    return 6 * torque + np.random.default_rng(0).normal(0, 30 * np.std(torque), torque.shape)
+
+
 def held(values: Any) -> Any:
     return values[np.arange(len(values)) // 2 * 2]
 
@@ -138,6 +142,7 @@ def held(values: Any) -> Any:
         (with_signal("joint_torque", lambda t: np.clip(t, -3, 3)), "logged torque stays at 3"),
         (with_signal("joint_torque", column(0, np.negative)), "shoulder: torque looks negated"),
         (with_signal("joint_torque", column(0, lambda t: 30 * t)), r"shoulder: torque is [23]\d.* is it in N m"),
+        (with_signal("joint_torque", column(0, another_course)), "shoulder: the logged torque has another course"),
         (lambda r: replace(r, init_qvel=np.ones(2)), "init_qvel is not zero"),
         (lambda r: replace(r, init_qpos=np.full(2, 2.0)), "init_qpos has"),
     ],

@@ -15,7 +15,6 @@ import pytest
 from realsim.core.errors import GapError
 from realsim.gap import Case, DiagnoseConfig, load_case
 from realsim.gap.case.health import examine
-from realsim.gap.case.health.conventions import _odd_torque
 from realsim.gap.case.health.examination import _runaway
 from realsim.gap.case.runs import Run
 from realsim.gap.simulation.simulate import Simulator
@@ -160,11 +159,3 @@ def test_a_wheel_that_the_log_too_has_fast_does_not_run_away() -> None:
     track = {"vel": np.full((500, 1), 200.0), "settle": (0.0, 0.002)}
     assert _runaway(run, track, 500) is None
     assert _runaway(replace(run, signals={"joint_pos": np.zeros((101, 1))}), track, 500) == 0
-
-
-def test_the_unit_of_a_torque_is_asked_for_only_where_the_courses_agree() -> None:
-    assert "is it in N m?" in _odd_torque("j", 9.8, 0.97)
-    assert "negated" in _odd_torque("j", -1.1, 0.97)
-    damped = _odd_torque("j", 6.0, 0.4)
-    assert "N m?" not in damped
-    assert "friction, damping and load" in damped

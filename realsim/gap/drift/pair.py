@@ -31,35 +31,18 @@ def pair_of(today: Case, before: Case, config: DiagnoseConfig) -> Pair:
     Raises:
         GapError: where they are not of one robot.
     """
-    for what, ours, theirs in (
-        ("joints", today.joint_names, before.joint_names),
-        ("actuators", today.actuator_names, before.actuator_names),
-    ):
-        missing = [name for name in theirs if name not in ours] or [name for name in ours if name not in theirs]
-        if missing or len(ours) != len(theirs):
-            raise GapError(
-                "the earlier log is of another robot",
-                file=before.folder,
-                expected=f"{what} {', '.join(ours[:12])}",
-                found=", ".join(theirs[:12]),
-                hint=did_you_mean(missing[0], ours) if missing else None,
-            )
-        if ours != theirs:
-            raise GapError(
-                f"the two logs list their {what} in another order",
-                file=before.folder,
-                expected=", ".join(ours[:12]),
-                found=", ".join(theirs[:12]),
-                hint="use one log.json for both",
-            )
-    for what in ("command_kind", "base"):
-        if getattr(today, what) != getattr(before, what):
-            raise GapError(
-                f"the two logs differ in {what}",
-                file=before.folder,
-                expected=str(getattr(today, what)),
-                found=str(getattr(before, what)),
-            )
+    for what in ("joint_names", "actuator_names", "command_kind", "base"):
+        ours, theirs = getattr(today, what), getattr(before, what)
+        if ours == theirs:
+            continue
+        message, hint = f"the two logs differ in {what}", None
+        if isinstance(ours, tuple) and sorted(ours) == sorted(theirs):
+            message, hint = f"the two logs list their {what} in another order", "use one log.json for both"
+        elif isinstance(ours, tuple):
+            missing = [name for name in theirs if name not in ours]
+            message, hint = "the earlier log is of another robot", did_you_mean(missing[0], ours) if missing else None
+        expected, found = (v if isinstance(v, str) else ", ".join(v[:12]) for v in (ours, theirs))
+        raise GapError(message, file=before.folder, expected=expected, found=found, hint=hint)
     notes = []
     if today.xml != before.xml:
         notes.append("the two cases hold different models: today's is used for both")

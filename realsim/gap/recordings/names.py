@@ -192,41 +192,28 @@ MOTOR_TABLES: dict[str, list[str]] = {
 FEET: dict[str, list[str]] = {"Unitree Go1, Go2, A1, B2": ["FR", "FL", "RR", "RL"]}
 
 
-def same_joint(label: str, joint: str) -> bool:
-    """Whether a label in a log means this joint of a model: the same words, without `joint`, `motor`, `pos`."""
-    a, b = _core(label), _core(joint)
-    return bool(a) and a == b
-
-
 def match_joints(labels: Sequence[str], joints: Sequence[str]) -> dict[int, str]:
     """Column -> joint, where the label names exactly one; a prefix of all labels (a namespace) does not matter."""
     found: dict[int, str] = {}
+    words = {joint: _core(joint) for joint in joints}
     for column, label in enumerate(labels):
-        alike = [j for j in joints if j == label] or [j for j in joints if same_joint(label, j)]
-        alike = alike or [j for j in joints if _ends(label, j)] or [j for j in joints if _begins(label, j)]
-        alike = alike or [j for j in joints if _short(label, j)]
-        if len(alike) == 1 and alike[0] not in found.values():
-            found[column] = alike[0]
+        own = _core(label)
+        named = any(not w.isdigit() for w in own)
+        n = len(own)
+        ways = (
+            [j for j in joints if j == label],
+            [j for j, w in words.items() if own == w],
+            [j for j, w in words.items() if 0 < len(w) < n and own[-len(w) :] == w],
+            [j for j, w in words.items() if named and n < len(w) and w[:n] == own],  # `knee` of `knee_pitch`
+            [j for j, w in words.items() if n == 1 < len(own[0]) and named and w and w[0].startswith(own[0])],  # `sh`
+        )
+        fitting = next(filter(None, ways), [])
+        if len(fitting) == 1 and fitting[0] not in found.values():
+            found[column] = fitting[0]
     return found
 
 
 def _core(name: str) -> list[str]:
+    """The words of a joint's name, without `joint`, `motor`, `pos`."""
     found = [w for w in english(name) if w not in ("joint", *SIGNALS)]
     return found if any(not w.isdigit() for w in found) else list(english(name))
-
-
-def _begins(label: str, joint: str) -> bool:
-    """Whether a label names a joint in short: `knee` of `knee_pitch`."""
-    a, b = _core(label), _core(joint)
-    return any(not w.isdigit() for w in a) and len(a) < len(b) and b[: len(a)] == a
-
-
-def _short(label: str, joint: str) -> bool:
-    """Whether a label is the beginning of a joint's name: `sh` of `shoulder`."""
-    a, b = _core(label), _core(joint)
-    return len(a) == 1 and len(a[0]) > 1 and a[0].isalpha() and bool(b) and b[0].startswith(a[0])
-
-
-def _ends(label: str, joint: str) -> bool:
-    a, b = _core(label), _core(joint)
-    return len(b) > 0 and len(a) > len(b) and a[-len(b) :] == b

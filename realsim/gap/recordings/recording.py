@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from realsim.core.errors import GapError
+from realsim.core.errors import GapError, RealsimError
 from realsim.core.types import F64
 
 MAX_VALUES = 60_000_000
@@ -139,6 +140,18 @@ def in_window(times: F64, window: Window) -> Any:
         return np.ones(len(times), bool)
     since = times - np.nanmin(times)
     return (since >= window.start) & (since < window.start + window.seconds)
+
+
+@contextmanager
+def readable(path: Path, kind: str, expected: str | None = None) -> Iterator[None]:
+    """Errors of a reader's library, and what damage leads to, as one about a file of this kind."""
+    try:
+        yield
+    except RealsimError:
+        raise
+    except Exception as error:  # each library has its own
+        found = f"{type(error).__name__}: {error}"[:160]
+        raise GapError(f"not a readable {kind}", file=path, expected=expected, found=found) from error
 
 
 def planned(kind: str) -> bool:

@@ -25,7 +25,7 @@ from realsim.gap.report.plots import how_much_card, what_card, where_card
 from realsim.gap.report.robot import robot_card
 from realsim.gap.report.since import since_card
 from realsim.gap.report.where import evidence_cards
-from realsim.gap.report.words import lead, times
+from realsim.gap.report.words import times
 from realsim.gap.verdicts import SAID, GapVerdict
 from realsim.report import page, viewer3d
 
@@ -109,7 +109,4 @@ def _facts(found: Diagnosis) -> list[tuple[str, str, str]]:
     facts.append(("Checked on", ", ".join(runs[:3]) + (" …" if len(runs) > 3 else "") or "no run", note))
     warnings = len(found.health.get("warnings", []))
     facts.append(("Data health", f"{warnings} note{'s' * (warnings != 1)}" if warnings else "good", "see below"))
-    place = lead(found)
-    if place:
-        facts.append(("Most of it", *place))
     return facts

@@ -102,7 +102,6 @@ def ranking_card(found: Diagnosis) -> str:
             fitted.append([what, where, *gains, _outcome(r, here, same)])
     head = ["effect", "best place", "left-out run", "all runs", "linear", "outcome"]
     parts = ["<h4>Fitted with the full simulation</h4>", page.table(head, fitted, raw=[0])] if fitted else []
-    parts += _by_stage(found)
     if screened:
         rows = page.table(["effect", "best place", "linear", "outcome"], screened, raw=[0])
         parts.append(page.fold(f"{_effects(len(screened))} that the linear screen ruled out", rows))
@@ -116,21 +115,6 @@ def ranking_card(found: Diagnosis) -> str:
         "error), on all fitted runs together, and as a linear screen foretold."
     )
     return page.card("All effects", "".join(parts), note, wide=True)
-
-
-def _by_stage(found: Diagnosis) -> list[str]:
-    """Gains on left-out runs as the causes were accepted one by one: what else would have been gained at that point."""
-    stages = sorted({s["stage"] for r in found.ranking for s in r.get("stages", []) if s["gain"] is not None})
-    if len(stages) < 2:
-        return []
-    rows, top = [], _tops([s for r in found.ranking for s in r.get("stages", [])])
-    for r in found.ranking:
-        at = {s["stage"]: s for s in r.get("stages", []) if s["gain"] is not None}
-        if at:
-            cells = [f"{_spread(at[s], top)} ({places(at[s]['place'], 2)})" if s in at else "–" for s in stages]
-            rows.append([title_of(r["effect"]), *cells])
-    head = ["effect", *("first cause" if s == 0 else after(s) for s in stages)]
-    return [page.fold("Gains on left-out runs, stage by stage", page.table(head, rows))]
 
 
 def _outcome(r: dict[str, Any], here: set[str], same: set[str]) -> str:

@@ -193,6 +193,14 @@ def _labelled_bars(
 # ---------------------------------------------------------------- how much
 
 
+_READING = {
+    "one sample": "Half of it is there after one sample, as with readings and their delays.",
+    "20 ms": "Half of it is there within 20 ms, as with drives (gains, delays, limits) or a wrong pose on the ground.",
+    "100 ms": "Half of it takes about 100 ms, as with forces that are missing (friction, inertia, load).",
+    "500 ms": "Half of it takes half a second, as with slow forces (load, contact, compliance) or drift.",
+}
+
+
 def how_much_card(found: Diagnosis) -> str:
     """Error of the check before and after: all together, and for each signal and horizon."""
     shrunk = found.shrinkage
@@ -205,6 +213,10 @@ def how_much_card(found: Diagnosis) -> str:
     ticks = [(k / 4, f"{25 * k} %") for k in range(int(4 * end) + 1)]
     if found.evidence is not None:
         note += " Below: before and after, over whole runs, and of joint positions predicted from estimated states."
+        rows_ahead = horizons(found.evidence)
+        top = max((before for _, before, _ in rows_ahead), default=0.0)
+        if top >= 2:
+            note += " " + _READING.get(next(label for label, before, _ in rows_ahead if before >= 0.5 * top), "")
     body = _labelled_bars(rows, (-0.02, end), "", ticks) + _table(found) + _before_after(found)
     return page.card("How much", body, note)
 

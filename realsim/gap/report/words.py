@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from realsim.gap.answer.diagnosis import Diagnosis
 from realsim.gap.answer.sentence import SIGNALS
 from realsim.gap.effects import EFFECTS
 from realsim.report import svg
@@ -68,20 +67,3 @@ def interval(parameter: dict[str, Any]) -> str:
     low, high = parameter["ci90"]
     value, unit = svg.number(parameter["value"]), parameter["unit"]
     return f"{value} {'×' if unit == 'ratio' else unit} [{svg.number(low)}, {svg.number(high)}]"
-
-
-def lead(found: Diagnosis) -> tuple[str, str] | None:
-    """(place, share and phase) where most of the gap lies; None where there is none."""
-    if found.verdict == "no_gap" or not found.where:
-        return None
-    by_place: dict[str, float] = {}
-    for entry in found.where:
-        key = entry.get("joint") or signal_name(entry["signal"])
-        by_place[key] = by_place.get(key, 0.0) + entry["share"]
-    place, share = max(by_place.items(), key=lambda item: item[1])
-    by_phase: dict[str, float] = {}
-    for entry in found.where:
-        if (entry.get("joint") or signal_name(entry["signal"])) == place:
-            by_phase[entry["phase"]] = by_phase.get(entry["phase"], 0.0) + entry["share"]
-    phase = max(by_phase, key=lambda p: by_phase[p])
-    return short(place), f"{percent(share)} of the gap, most of it {phase}"

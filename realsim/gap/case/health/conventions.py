@@ -31,37 +31,36 @@ DEG = 180 / np.pi
 def log_conventions(case: Case) -> list[str]:
     """Checks of commands and signals against each other, before any simulation."""
     position = _all(case, "joint_pos")
+    commands = {joint: command for joint in case.joint_names if (command := _commanded(case, joint)) is not None}
+    ways = []
     for j, joint in enumerate(case.joint_names):
-        servo = case.actuator_of(joint)
-        if servo is None or case.command_kind != "position":
-            continue
-        command = _asked(case, joint, servo)
-        _refuse_unit(case, "joint_pos", joint, position[:, j], command, {"deg": DEG}, "the commands")
-        _refuse_unit(case, "command", servo, command, position[:, j], {"deg": DEG}, "the positions")
-    if case.has("joint_vel"):
-        for j, joint in enumerate(case.joint_names):
-            moved, sums = (np.concatenate(parts) for parts in zip(*_travelled(case, j), strict=True))
+        if joint in commands:
+            _refuse_unit(case, "joint_pos", joint, position[:, j], commands[joint], {"deg": DEG}, "the commands")
+            servo = str(case.actuator_of(joint))
+            _refuse_unit(case, "command", servo, commands[joint], position[:, j], {"deg": DEG}, "the positions")
+        if case.has("joint_vel"):
+            runs = [(r.time, r.signals["joint_pos"][:, j], r.signals["joint_vel"][:, j]) for r in case.runs]
+            ways.append([travelled(*run) for run in runs])
+            moved, sums = (np.concatenate(parts) for parts in zip(*ways[j], strict=True))
             found = speed_factor(moved, sums)
             wrong = "-1" if found.ratio < 0 and found.unit == "rad/s" else found.unit
             if abs(found.corr) > LIKE and found.near and wrong != "rad/s":
-                _refuse(case, "joint_vel", joint, wrong, abs(found.ratio), "the positions' slope")
-    return _runs_apart(case) + _base(case)
+                raise _misread(case, "joint_vel", joint, wrong, abs(found.ratio), "the positions' slope")
+    return _runs_apart(case, position, commands, ways) + _base(case)
 
 
 def nominal_conventions(simulator: Simulator, nominal: list[F64]) -> list[str]:
     """Checks of the log's units, order and signs against the nominal simulator."""
-    case = simulator.case
-    names = case.joint_names
+    case, names = simulator.case, simulator.case.joint_names
     real, model = _all(case, "joint_pos"), np.concatenate([y[:, : len(names)] for y in nominal])
-    follows = [_follows(case, joint, real[:, j]) for j, joint in enumerate(names)]
+    follows = []
     for j, joint in enumerate(names):
-        if follows[j]:
-            continue  # it does what it is told, so it is the simulator that does not
-        _refuse_unit(
-            case, "joint_pos", joint, real[:, j], model[:, j], {"deg": DEG, "-1": -1.0}, "the nominal simulator"
-        )
-    _refuse_order(case, real, model, follows)
-    _refuse_model(case, real, model, follows)
+        command = _commanded(case, joint)
+        follows.append(command is not None and 0 < disagreement(real[:, j], command) < WRONG)
+        if not follows[j]:  # else it does what it is commanded, and it is the simulator that does not
+            scales = {"deg": DEG, "-1": -1.0}
+            _refuse_unit(case, "joint_pos", joint, real[:, j], model[:, j], scales, "the nominal simulator")
+    _refuse_order_and_model(case, real, model, follows)
     found = _likely(names, real, model, follows)
     if case.has("joint_torque"):
         found += _torque_units(simulator, nominal)
@@ -79,20 +78,23 @@ def _refuse_unit(
         return
     for unit, scale in scales.items():
         if disagreement(values / scale, like) < PLAIN:
-            _refuse(case, array, name, unit, abs(scale), witness)
+            raise _misread(case, array, name, unit, abs(scale), witness)
 
 
-def _refuse(case: Case, array: str, name: str, unit: str, ratio: float, witness: str) -> None:
+def _misread(case: Case, array: str, name: str, unit: str, ratio: float, witness: str) -> GapError:
+    """The error for an array, or a part of it, in another unit (`-1`: of the other sign)."""
+    found = "the opposite sign agrees" if unit == "-1" else f"values {ratio:.3g} times as large"
+    expected = f"agreement with {witness}, in the contract's units and signs"
+    return _refusal(case, f"{array} of {name}", array, unit, expected, found)
+
+
+def _refusal(case: Case, what: str, array: str, unit: str, expected: str, found: str) -> GapError:
     turned = unit == "-1"
-    raise GapError(
-        f"{array} of {name} looks {'negated' if turned else f'like {unit}'}",
-        file=case.folder,
-        expected=f"agreement with {witness}, in the contract's units and signs",
-        found="the opposite sign agrees" if turned else f"values {ratio:.3g} times as large",
-        hint='fix the log, or give "sign": -1 for the column in columns.json (.csv)'
-        if turned
+    return GapError(
+        f"{what} looks {'negated' if turned else f'like {unit}'}", file=case.folder, expected=expected, found=found,
+        hint='fix the log, or give "sign": -1 for the column in columns.json (.csv)' if turned
         else f'write "units": {{"{array}": "{unit}"}} in log.json (.npz), or a unit in columns.json (.csv)',
-    )
+    )  # fmt: skip
 
 
 def disagreement(values: F64, like: F64) -> float:
@@ -105,87 +107,71 @@ def disagreement(values: F64, like: F64) -> float:
     return float(np.sqrt(np.mean((a - b) ** 2))) / size if size > 1e-3 else 0.0
 
 
-def _runs_apart(case: Case) -> list[str]:
-    """Runs unlike the others: velocities that have nothing to do with their positions, commands of the other sign."""
+def _runs_apart(
+    case: Case, position: F64, commands: Mapping[str, F64], ways: Sequence[Sequence[tuple[F64, F64]]]
+) -> list[str]:
+    """Runs unlike the others: velocities that have nothing to do with their positions, commands of the other sign.
+
+    Args:
+        ways: of each joint and run, the way travelled and the velocity's integrals; none where no velocity is logged.
+    """
     ends = np.cumsum([len(r.time) for r in case.runs])[:-1]
     names = [r.name for r in case.runs]
-    position = np.split(_all(case, "joint_pos"), ends)
     found = []
     for j, joint in enumerate(case.joint_names):
-        if case.has("joint_vel"):
-            ways = _travelled(case, j)
-            apart = np.array([disagreement(sums, moved) for moved, sums in ways])
-            moved = np.array([_spread(moved) for moved, _ in ways])
+        if ways:
+            apart = np.array([disagreement(sums, moved) for moved, sums in ways[j]])
+            moved = np.array([np.std(m[np.isfinite(m)]) if np.isfinite(m).any() else 0.0 for m, _ in ways[j]])
             odd = (apart > WRONG) & (moved > np.median(moved) / 2)  # slow motion drowns in noise
             if np.median(apart) < PLAIN:
                 text = f"joint_vel of {joint} is not the slope of its positions; in other runs it is"
                 found += [f"{names[i]}: {text}" for i in np.flatnonzero(odd)]
-        servo = case.actuator_of(joint) if case.command_kind == "position" else None
-        if servo is not None:
-            asked = np.split(_asked(case, joint, servo), ends)
-            match = np.array([alike(p[:, j], a) for p, a in zip(position, asked, strict=True)])
+        if joint in commands:
+            runs = zip(np.split(position[:, j], ends), np.split(commands[joint], ends), strict=True)
+            match = np.array([alike(p, command) for p, command in runs])
             if np.median(match) > 0:
-                text = f"the command of {servo} looks negated; in other runs it does not"
+                text = f"the command of {case.actuator_of(joint)} looks negated; in other runs it does not"
                 found += [f"{names[i]}: {text}" for i in np.flatnonzero(match < -LIKE)]
     return found
 
 
-def _spread(values: F64) -> float:
-    """Standard deviation of what is finite; 0 where nothing is."""
-    good = values[np.isfinite(values)]
-    return float(good.std()) if len(good) else 0.0
-
-
-def _asked(case: Case, joint: str, servo: str) -> F64:
-    """(N,) where a position servo's commands want its joint, rad or m; NaN while the drive is off."""
-    column = case.actuator_names.index(servo)
-    return np.concatenate([np.where(r.on[:, column], r.command[:, column], np.nan) for r in case.runs]) / (
-        case.gear(joint) or 1.0
-    )
-
-
-def _follows(case: Case, joint: str, position: F64) -> bool:
-    """Whether a position servo's joint goes where its own command says."""
+def _commanded(case: Case, joint: str) -> F64 | None:
+    """(N,) where a position servo's commands want its joint, rad or m; NaN while the drive is off. None without one."""
     servo = case.actuator_of(joint)
     if servo is None or case.command_kind != "position":
-        return False
-    command = _asked(case, joint, servo)
-    return 0 < disagreement(position, command) < WRONG
+        return None
+    u = case.actuator_names.index(servo)
+    command = np.concatenate([np.where(r.on[:, u], r.command[:, u], np.nan) for r in case.runs])
+    return command / (case.gear(joint) or 1.0)
 
 
-def _refuse_order(case: Case, real: F64, model: F64, follows: Sequence[bool]) -> None:
-    """Columns that agree with another joint's simulation, and not with their own."""
+def _refuse_order_and_model(case: Case, real: F64, model: F64, follows: Sequence[bool]) -> None:
+    """Refuse columns that agree with another joint's simulation and not with their own; and a model most of whose
+    joints go elsewhere than the robot's, which go where they are commanded to."""
     names = case.joint_names
-    moved = []
-    for j in range(len(names)):
-        if follows[j] or disagreement(real[:, j], model[:, j]) < WRONG:
-            continue
-        others = [disagreement(real[:, j], model[:, k]) or np.inf for k in range(len(names))]
-        best = int(np.argmin(others))
-        if best != j and others[best] < PLAIN:
-            moved.append(f"the column of {names[j]} moves like {names[best]}")
+    moved, astray = [], []
+    for j, name in enumerate(names):
+        if follows[j]:
+            astray += [name] if disagreement(model[:, j], real[:, j]) > WRONG else []
+        elif disagreement(real[:, j], model[:, j]) >= WRONG:
+            others = [disagreement(real[:, j], model[:, k]) or np.inf for k in range(len(names))]
+            best = int(np.argmin(others))
+            if best != j and others[best] < PLAIN:
+                moved.append(f"the column of {name} moves like {names[best]}")
     if moved:
         raise GapError(
-            "positions and commands are in different orders of joints",
-            file=case.folder / "log.json",
+            "positions and commands are in different orders of joints", file=case.folder / "log.json",
             found="; ".join(moved[:6]),
             hint="one of joint_names (of joint_pos) and actuator_names (of command) is not in its columns' order: "
             "mend that one, not both; `realsim log RECORDING --model model.xml` decides it by names",
-        )
-
-
-def _refuse_model(case: Case, real: F64, model: F64, follows: Sequence[bool]) -> None:
-    """A model most of whose joints go elsewhere than the robot's, which go where they are told to."""
-    names = case.joint_names
-    astray = [n for j, n in enumerate(names) if follows[j] and disagreement(model[:, j], real[:, j]) > WRONG]
+        )  # fmt: skip
     if len(astray) >= FEW_JOINTS and len(astray) > 0.5 * len(names):
         raise GapError(
-            "the robot follows its commands, the nominal simulator does not",
-            file=case.folder / "model.xml",
+            "the robot follows its commands, the nominal simulator does not", file=case.folder / "model.xml",
             found=f"{len(astray)} of {len(names)} joints: {', '.join(astray[:8])}",
             hint="fix the model first: servo gains in N m/rad (or per actuator's gear), force ranges, joint axes and "
             "ranges, what the robot collides with, and whether its base is held",
-        )
+        )  # fmt: skip
 
 
 # ---------------------------------------------------------------- likely mistakes
@@ -216,55 +202,38 @@ def _likely(names: tuple[str, ...], real: F64, model: F64, follows: Sequence[boo
 
 
 def _torque_units(simulator: Simulator, nominal: list[F64]) -> list[str]:
-    """Refuses torques that are a known unit's or the sign's factor away in every joint; says where one joint is odd.
+    """Refuses torques that are a known unit's or the sign's factor away in every joint; warns where one joint is odd.
 
     A single joint of several proves no unit: what it carries may be many times what the model knows of.
     """
-    case = simulator.case
-    torque, scales = _all(case, "joint_torque"), {}
+    torque, scales = _all(simulator.case, "joint_torque"), {}
     for c, channel in enumerate(simulator.channels):
         if channel.signal == "joint_torque":
-            scale = _scale(torque[:, channel.index], np.concatenate([y[:, c] for y in nominal]))
-            if scale is not None:
-                scales[channel.label] = scale
-    if scales:
-        factors = {unit: 1 / f for unit, f in TORQUE.items() if f != 1.0} | {"-1": -1.0}
-        for unit, factor in factors.items():
-            if all(alike > LIKE and 0.6 < scale / factor < 1.6 for scale, alike in scales.values()):
-                turned = unit == "-1"
-                raise GapError(
-                    f"joint_torque looks {'negated' if turned else f'like {unit}'}",
-                    file=case.folder,
-                    expected="agreement with the nominal simulator, in N m and the contract's signs",
-                    found=", ".join(f"{name} {scale:.3g} times as large" for name, (scale, _) in scales.items()),
-                    hint='fix the log, or give "sign": -1 for the columns in columns.json (.csv)'
-                    if turned
-                    else f'write "units": {{"joint_torque": "{unit}"}} in log.json (.npz), or a unit in columns.json',
-                )
-    odd = {name: found for name, found in scales.items() if found[0] < -0.25 or not 0.25 < abs(found[0]) < 4}
-    return [_odd_torque(name, scale, alike) for name, (scale, alike) in odd.items()]
-
-
-def _odd_torque(name: str, scale: float, alike: float) -> str:
-    """A unit is in question only where the courses agree; else the model's load, friction or damping is another."""
-    if alike < LIKE:
-        return (
-            f"{name}: the logged torque has another course than the nominal simulator's ({scale:.3g} times as large): "
-            "check friction, damping and load of the joint in model.xml"
-        )
-    if -4 < scale < -0.25:
-        return f"{name}: torque looks negated"
-    return f"{name}: torque is {scale:.3g} times the simulator's: is it in N m?"
-
-
-def _scale(values: F64, like: F64) -> tuple[float, float] | None:
-    """(factor of least squares from `like` to `values`, how alike they are: the cosine's size); None where all is 0."""
-    good = np.isfinite(values) & np.isfinite(like)
-    a, b = values[good], like[good]
-    dot, size_a, size_b = float(a @ b), float(a @ a), float(b @ b)
-    if min(size_a, size_b) < 1e-12:
-        return None
-    return dot / size_b, abs(dot) / float(np.sqrt(size_a * size_b))
+            like = np.concatenate([y[:, c] for y in nominal])
+            good = np.isfinite(torque[:, channel.index]) & np.isfinite(like)
+            a, b = torque[good, channel.index], like[good]
+            if min(a @ a, b @ b) >= 1e-12:  # (factor of least squares, cosine)
+                scales[channel.label] = float(a @ b / (b @ b)), float(abs(a @ b) / np.sqrt((a @ a) * (b @ b)))
+    factors = {unit: 1 / f for unit, f in TORQUE.items() if f != 1.0} | {"-1": -1.0}
+    for unit, factor in factors.items():
+        if scales and all(cosine > LIKE and 0.6 < scale / factor < 1.6 for scale, cosine in scales.values()):
+            found = ", ".join(f"{name} {scale:.3g} times as large" for name, (scale, _) in scales.items())
+            expected = "agreement with the nominal simulator, in N m and the contract's signs"
+            raise _refusal(simulator.case, "joint_torque", "joint_torque", unit, expected, found)
+    notes = []
+    for name, (scale, cosine) in scales.items():
+        if scale >= -0.25 and 0.25 <= abs(scale) <= 4:
+            continue
+        if cosine < LIKE:  # a unit is in question only where the courses agree
+            notes.append(
+                f"{name}: the logged torque has another course than the nominal simulator's ({scale:.3g} times as "
+                "large): check friction, damping and load of the joint in model.xml"
+            )
+        elif -4 < scale < -0.25:
+            notes.append(f"{name}: torque looks negated")
+        else:
+            notes.append(f"{name}: torque is {scale:.3g} times the simulator's: is it in N m?")
+    return notes
 
 
 def _imu(simulator: Simulator, nominal: list[F64]) -> list[str]:
@@ -277,71 +246,53 @@ def _imu(simulator: Simulator, nominal: list[F64]) -> list[str]:
     model = np.concatenate([y[r.time < 0.1][:, columns] for r, y in zip(case.runs, nominal, strict=True)])
     a, b = np.nanmedian(real, axis=0), np.nanmedian(model, axis=0)
     size = float(np.linalg.norm(a))
+    expected = "specific force in m/s^2: +9.81 upward at rest"
     if (unit := gravity_unit(size)) not in ("", "m/s^2"):
-        hint = f'"units": {{"imu_acc": "{unit}"}} in log.json'
-        _refuse_gravity(case, f"imu_acc looks like {unit}", f"{size:.2f} at rest", hint)
+        raise _refusal(case, "imu_acc", "imu_acc", unit, expected, f"{size:.2f} at rest")
     if size < 3:
         return [
             f"imu_acc is {size:.2g} m/s^2 at rest: gravity appears to have been removed; log the raw specific force"
         ]
     cosine = float(a @ b / (size * np.linalg.norm(b) + 1e-9))
     if cosine < -0.9:
-        _refuse_gravity(
-            case, "imu_acc looks negated", "gravity points the other way", "an accelerometer at rest reads +g up"
-        )
+        raise _refusal(case, "imu_acc", "imu_acc", "-1", expected, "gravity points the other way")
     if cosine < 0.8:
         return ["imu_acc: gravity points elsewhere than at imu_site in model.xml: check the site's frame"]
     return []
 
 
-def _refuse_gravity(case: Case, message: str, found: str, hint: str) -> None:
-    raise GapError(message, file=case.folder, expected="specific force in m/s^2, 9.81 at rest", found=found, hint=hint)
-
-
 def _base(case: Case) -> list[str]:
     """Units of the base's position; order and length of its quaternion."""
-    said = []
+    notes = []
     for run in case.runs:
         quat, place = run.signals.get("base_quat"), run.signals.get("base_pos")
         if place is not None and float(np.nanmedian(np.abs(place[:, 2]))) > 30:
-            raise GapError(
-                "base_pos looks like millimetres",
-                file=case.folder,
-                found=f"a height of {np.nanmedian(place[:, 2]):.3g} in {run.name}",
-                hint='"units": {"base_pos": "mm"} in log.json',
-            )
+            found = f"a height of {np.nanmedian(place[:, 2]):.3g} in {run.name}"
+            hint = '"units": {"base_pos": "mm"} in log.json'
+            raise GapError("base_pos looks like millimetres", file=case.folder, found=found, hint=hint)
         if quat is None or not case.floating:
             continue
         length = float(np.nanmedian(np.linalg.norm(quat, axis=1)))
         if abs(length - 1) > 0.02:
-            said.append(f"{run.name}: base_quat has length {length:.3g}; it is normalised")
+            notes.append(f"{run.name}: base_quat has length {length:.3g}; it is normalised")
         upright = np.array([1.0, 0, 0, 0]) if run.init_qpos is None else run.init_qpos[3:7]
         first = quat[np.isfinite(quat).all(axis=1)][:1]
         if len(first) and _tilt(first, upright) > 1.2 and _tilt(first[:, [3, 0, 1, 2]], upright) < 0.4:
             raise GapError(
-                "base_quat looks like x y z w",
-                file=case.folder,
-                expected="w x y z",
+                "base_quat looks like x y z w", file=case.folder, expected="w x y z",
                 found=f"{np.round(first[0], 3).tolist()} at the start of {run.name}",
                 hint="bring the columns into the order w x y z",
-            )
-    return said
+            )  # fmt: skip
+    return notes
 
 
 def _tilt(quat: F64, reference: F64) -> float:
     """Angle between the vertical axes of two orientations, rad."""
     turn = rotation_from(quat, reference)[0]
     angle = float(np.linalg.norm(turn))
-    if angle < 1e-9:
-        return 0.0
-    vertical = turn[2] / angle
+    vertical = turn[2] / max(angle, 1e-9)
     return float(np.arccos(np.clip(np.cos(angle) + (1 - np.cos(angle)) * vertical**2, -1, 1)))
 
 
 def _all(case: Case, signal: str) -> F64:
     return np.concatenate([r.signals[signal] for r in case.runs])
-
-
-def _travelled(case: Case, joint: int) -> list[tuple[F64, F64]]:
-    """(ways, integrals of the velocity) of a joint in each run (`realsim.gap.case.units.travelled`)."""
-    return [travelled(r.time, r.signals["joint_pos"][:, joint], r.signals["joint_vel"][:, joint]) for r in case.runs]

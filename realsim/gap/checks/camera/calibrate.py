@@ -263,10 +263,10 @@ class _Fitter:
         notes = []
         if self.runs < 3:
             notes.append("fewer than three runs have depth: a lean of the base in a run looks like a turned mount")
-        sizes = (float(np.nanmedian(np.abs(r))) for r in (before, self.residual(fit.state)))
+        sizes = [float(np.nanmedian(np.abs(r))) for r in (before, self.residual(fit.state))]
         return CameraFound(
-            self.camera.name, values[0], tuple(values[1:4]), tuple(values[4:7]), noise, named, *sizes,
-            sum(len(f.time) for f in self.view.frames), total, tuple(notes),
+            self.camera.name, values[0], tuple(values[1:4]), tuple(values[4:7]), noise, named, sizes[0],
+            sizes[1], sum(len(f.time) for f in self.view.frames), total, tuple(notes),
         )  # fmt: skip
 
     def _of_base(self, J: F64, x: F64, which: int) -> list[F64]:

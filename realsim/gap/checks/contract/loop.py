@@ -64,7 +64,8 @@ class Loop:
 
     def with_entries(self, field: str, entries: Mapping[str, Any]) -> Loop:
         """With entries added to one of its maps."""
-        return replace(self, **{field: {**getattr(self, field), **entries}})
+        whole: dict[str, Any] = {field: {**getattr(self, field), **entries}}
+        return replace(self, **whole)
 
     def mixed(self, kinds: Sequence[str], W: F64) -> Loop:
         """`W` (n, n) on top of what these terms are mixed with and shifted by."""

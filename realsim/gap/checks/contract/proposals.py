@@ -372,7 +372,7 @@ def _limits(contract: Contract, steps: Steps, loop: Loop) -> Iterator[Family]:
                 yield _set("clipped_action", f"actions are clipped at {limit:.3g}", clip=limit, unaware=unaware)
     low, high = sent.min(axis=0), sent.max(axis=0)
     often = ((sent <= low + 1e-6) | (sent >= high - 1e-6)).mean(axis=0) > 0.05
-    if often.any() and not np.isfinite(loop.bounds).any():
+    if often.any() and not any(np.isfinite(ends).any() for ends in loop.bounds):
         names = ", ".join(np.array(contract.joints)[often][:3])
         bounds = np.where(often, low, -np.inf), np.where(often, high, np.inf)
         text = f"targets end at limits that the contract does not have: {names}"

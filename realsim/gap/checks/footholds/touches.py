@@ -149,9 +149,9 @@ def underside(model: Any, body: str) -> list[Part]:
             found.append(Part(g, np.vstack([np.column_stack([rim, np.full(24, z)]) for z in (-size[1], size[1])])))
         else:  # an ellipsoid: points spread by Fibonacci's spiral
             k = np.arange(200) + 0.5
-            z, turn = 1 - k / 100, np.pi * (1 + 5**0.5) * k
-            flat = np.sqrt(1 - z * z)
-            found.append(Part(g, np.column_stack([flat * np.cos(turn), flat * np.sin(turn), z]) * size))
+            up, around = 1 - k / 100, np.pi * (1 + 5**0.5) * k
+            flat = np.sqrt(1 - up * up)
+            found.append(Part(g, np.column_stack([flat * np.cos(around), flat * np.sin(around), up]) * size))
     return found
 
 
@@ -175,7 +175,7 @@ def _bowl() -> F64:
     """(P, 3) of the lower half of the unit sphere: its lowest point, and rings around it."""
     turn, low = np.meshgrid(np.linspace(0, 2 * np.pi, 8, endpoint=False), np.radians([12, 30, 50, 75]))
     rings = np.stack([np.sin(low) * np.cos(turn), np.sin(low) * np.sin(turn), -np.cos(low)], axis=-1)
-    return np.vstack([[[0.0, 0.0, -1.0]], rings.reshape(-1, 3)])
+    return np.asarray(np.vstack([[[0.0, 0.0, -1.0]], rings.reshape(-1, 3)]), dtype=np.float64)
 
 
 _BOWL = _bowl()

@@ -15,10 +15,9 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from realsim.core.errors import GapError
 from realsim.core.files import check_size
 from realsim.core.types import F64
-from realsim.gap.recordings.recording import Field, Reader, Recording, Stream, Window, in_window, no_samples
+from realsim.gap.recordings.recording import Field, Reader, Recording, Stream, Window, in_window, no_samples, readable
 from realsim.gap.recordings.tables import grouped
 
 MAX_BYTES = 2**30
@@ -43,12 +42,10 @@ def read(path: Path, window: Window) -> list[Recording]:
     data = path.read_bytes()
     notes: list[str] = []
     streams = []
-    try:
+    with readable(path, "micro-SD log"):
         events, begin = _header(data)
         head, tick = VERSIONS[struct.unpack_from("<H", data, 1)[0]]
         samples = _samples(data, begin, head, events, notes)
-    except (struct.error, UnicodeDecodeError, IndexError, ValueError) as error:
-        raise GapError("not a readable micro-SD log", file=path, found=str(error)[:160]) from error
     for key, (name, variables, _) in events.items():
         if not samples[key]:
             continue

@@ -23,6 +23,7 @@ from realsim.gap.recordings.recording import (
     Window,
     in_window,
     no_samples,
+    readable,
     refuse_more,
 )
 
@@ -51,33 +52,24 @@ def read(path: Path, window: Window) -> list[Recording]:
             parts.setdefault(name, []).append(values)
             size += values.size
         refuse_more(path, size)
-    try:
+    with readable(path / "data", "dataset: its files do not fit together"):
         whole = {n: np.concatenate(p) for n, p in parts.items()}
-        length = len(whole["episode_index"])
-    except (KeyError, ValueError) as error:
-        raise GapError("the files of data/ do not fit together", file=path / "data", found=str(error)[:160]) from error
-    fields = {n: v for n, v in whole.items() if n not in INDICES and len(v) == length}
+        episodes = np.unique(whole["episode_index"])
+    length = len(whole["episode_index"])
+    fields = {n: v.reshape(length, -1) for n, v in whole.items() if n not in INDICES and len(v) == length}
     if not fields:
         raise no_samples(path, "features of numbers: action, observation.state")
+    labels = {n: _names(features[n], v.shape[1]) for n, v in fields.items()}
     skipped = {n: str(f.get("dtype")) for n, f in features.items() if isinstance(f, dict) and n not in whole}
-    return _episodes(path, info, features, whole, fields, skipped, window)
-
-
-def _episodes(
-    path: Path, info: dict[str, Any], features: dict[str, Any], whole: dict[str, F64], fields: dict[str, F64],
-    skipped: dict[str, str], window: Window,
-) -> list[Recording]:  # fmt: skip
-    labels = {n: _names(features[n], 1 if v.ndim == 1 else v.shape[1]) for n, v in fields.items()}
     facts: dict[str, Any] = {str(k): info[k] for k in ("robot_type", "fps", "codebase_version") if k in info}
-    episodes = np.unique(whole["episode_index"])
     notes = (f"{len(episodes)} episodes: the first {MAX_EPISODES} are read",) if len(episodes) > MAX_EPISODES else ()
     found = []
     for episode in episodes[:MAX_EPISODES]:
-        rows = whole["episode_index"] == episode
-        clock = whole["timestamp"][rows] if "timestamp" in whole else np.flatnonzero(rows) / float(info.get("fps", 30))
+        rows = np.flatnonzero(whole["episode_index"] == episode)
+        clock = whole["timestamp"][rows] if "timestamp" in whole else rows / float(info.get("fps", 30))
         keep = in_window(clock, window)
         if keep.any():
-            columns = {n: Field(v[rows][keep].reshape(int(keep.sum()), -1), labels[n]) for n, v in fields.items()}
+            columns = {n: Field(v[rows[keep]], labels[n]) for n, v in fields.items()}
             stream = Stream("", "lerobot", {"timestamp": clock[keep]}, columns)
             found.append(Recording(path, f"episode_{int(episode):06d}", "lerobot", (stream,), skipped, notes, facts))
     if not found:

@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from realsim.core.errors import GapError, extra
+from realsim.core.errors import extra
 from realsim.core.text_table import MAX_WIDTH
 from realsim.core.types import F64
-from realsim.gap.recordings.recording import Reader, Recording, Window, has_suffix, no_samples, refuse_more
+from realsim.gap.recordings.recording import Reader, Recording, Window, has_suffix, no_samples, readable, refuse_more
 from realsim.gap.recordings.tables import table
+from realsim.gap.recordings.vocabulary import TIMES
 
 
 def read(path: Path, window: Window) -> list[Recording]:
@@ -29,27 +30,19 @@ def columns_of(path: Path, only: Sequence[str] | None = None) -> tuple[dict[str,
     found: dict[str, F64] = {}
     skipped: dict[str, str] = {}
     size = 0
-    try:
-        with parquet.ParquetFile(path) as file:
-            for name in file.schema_arrow.names:
-                kind = file.schema_arrow.field(name).type
-                if only is not None and name not in only:
-                    continue
-                values = None
-                if _numeric(kind):  # pictures (bytes, structs) are never loaded
-                    values = _values(file.read(columns=[name]).column(0))
-                if values is None:
-                    skipped[name] = f"{kind}: not numbers"
-                    continue
-                found[name] = values
-                size += values.size
-                refuse_more(path, size)
-    except GapError:
-        raise
-    except Exception as error:  # Arrow's own errors, and what damage leads to
-        raise GapError(
-            "not a readable parquet file", file=path, found=f"{type(error).__name__}: {error}"[:160]
-        ) from error
+    with readable(path, "parquet file"), parquet.ParquetFile(path) as file:
+        for name in file.schema_arrow.names:
+            if only is not None and name not in only:
+                continue
+            kind = file.schema_arrow.field(name).type
+            # Pictures (bytes, structs) are never loaded.
+            values = _values(file.read(columns=[name]).column(0)) if _numeric(kind) else None
+            if values is None:
+                skipped[name] = f"{kind}: not numbers"
+                continue
+            found[name] = values
+            size += values.size
+            refuse_more(path, size)
     return found, skipped
 
 
@@ -69,8 +62,7 @@ def _values(column: Any) -> F64 | None:
     if isinstance(column, pa.ChunkedArray):
         column = pa.concat_arrays(column.chunks) if column.num_chunks else pa.array([], column.type)
     if t.is_timestamp(column.type):
-        unit = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[column.type.unit]
-        return unit * column.cast(pa.int64()).to_numpy(zero_copy_only=False).astype(np.float64)
+        return TIMES[column.type.unit] * column.cast(pa.int64()).to_numpy(zero_copy_only=False).astype(np.float64)
     if not (t.is_list(column.type) or t.is_large_list(column.type) or t.is_fixed_size_list(column.type)):
         return np.asarray(column.to_numpy(zero_copy_only=False), dtype=np.float64)
     flat = column.flatten()

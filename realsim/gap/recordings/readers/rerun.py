@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from realsim.core.errors import GapError, extra
+from realsim.core.errors import extra
 from realsim.core.text_table import MAX_WIDTH
 from realsim.core.types import F64
 from realsim.gap.recordings.recording import (
@@ -24,6 +24,7 @@ from realsim.gap.recordings.recording import (
     has_suffix,
     in_window,
     no_samples,
+    readable,
     refuse_more,
 )
 from realsim.gap.recordings.tables import grouped
@@ -38,7 +39,7 @@ def read(path: Path, window: Window) -> list[Recording]:
     labels: dict[str, tuple[str, ...]] = {}
     skipped: dict[str, str] = {}
     size = 0
-    try:
+    with readable(path, ".rrd file"):
         file = chunks.RrdReader(str(path))
         count = len(file.recordings())
         for chunk in file.stream() if count else ():
@@ -51,10 +52,6 @@ def read(path: Path, window: Window) -> list[Recording]:
                 parts.setdefault((member, clock), []).append((time, values))
                 size += values.size
                 refuse_more(path, size)
-    except GapError:
-        raise
-    except Exception as error:  # the library's own, and what damage leads to
-        raise GapError("not a readable .rrd file", file=path, found=f"{type(error).__name__}: {error}"[:160]) from error
     streams = _streams(parts, labels, skipped, window)
     if not streams:
         raise no_samples(path, "components of numbers on a timeline", skipped, window)
@@ -133,16 +130,15 @@ def _streams(
     streams = []
     for (clock, _), (time, columns) in together.items():
         scalars = {n: v[:, 0] for n, v in columns.items() if v.shape[1] == 1}
-        wide = {n: Field(v, _fitting(labels, n, v), unit_of(n)) for n, v in columns.items() if v.shape[1] > 1}
+        wide = {}
+        for n, v in columns.items():
+            if v.shape[1] > 1:
+                own = labels.get(n, ())
+                wide[n] = Field(v, own if len(own) == len(set(own)) == v.shape[1] else (), unit_of(n))
         name = next(iter(columns)) if len(together) > 1 else ""
         key = "receive" if clock == RECEIVED else "header"
         streams.append(Stream(name, "table", {key: time}, wide | grouped(scalars)))
     return tuple(streams)
-
-
-def _fitting(labels: dict[str, tuple[str, ...]], name: str, values: F64) -> tuple[str, ...]:
-    found = labels.get(name, ())
-    return found if len(found) == len(set(found)) == values.shape[1] else ()
 
 
 READER = Reader("rerun", "a Rerun .rrd file", has_suffix(".rrd"), read)

@@ -11,7 +11,7 @@ import numpy as np
 
 from realsim.core.errors import GapError, extra
 from realsim.core.files import archive_damage, check_size
-from realsim.gap.recordings.recording import Reader, Recording, Window, has_suffix, no_samples, refuse_more
+from realsim.gap.recordings.recording import Reader, Recording, Window, has_suffix, no_samples, readable, refuse_more
 from realsim.gap.recordings.tables import table
 
 
@@ -20,12 +20,8 @@ def read(path: Path, window: Window) -> list[Recording]:
     check_size(path)
     if (damage := archive_damage(path)) is not None:
         raise GapError("the file is damaged", file=path, found=damage, hint="copy it again")
-    try:
+    with readable(path, ".pt file", "a dictionary of tensors"):
         value = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # pickle's, zip's and torch's own
-        raise GapError(
-            "not a readable .pt file", file=path, expected="a dictionary of tensors", found=str(error)[:160]
-        ) from error
     if not isinstance(value, dict):
         raise no_samples(path, "a dictionary of tensors")
     arrays = {str(k): np.asarray(v, dtype=np.float64) for k, v in value.items() if torch.is_tensor(v)}

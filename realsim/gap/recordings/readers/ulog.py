@@ -6,9 +6,18 @@ from pathlib import Path
 
 import numpy as np
 
-from realsim.core.errors import GapError, extra
+from realsim.core.errors import extra
 from realsim.core.files import check_size
-from realsim.gap.recordings.recording import Reader, Recording, Stream, Window, first_line, in_window, no_samples
+from realsim.gap.recordings.recording import (
+    Reader,
+    Recording,
+    Stream,
+    Window,
+    first_line,
+    in_window,
+    no_samples,
+    readable,
+)
 from realsim.gap.recordings.tables import grouped
 
 MAX_BYTES = 2**30
@@ -24,10 +33,8 @@ def recognise(path: Path) -> bool:
 def read(path: Path, window: Window) -> list[Recording]:
     pyulog = extra("pyulog", "logs", "reading .ulg")
     check_size(path, MAX_BYTES)
-    try:
+    with readable(path, "ULog file"):
         log = pyulog.ULog(str(path))
-    except Exception as error:  # the library raises what the damage leads to
-        raise GapError("not a readable ULog file", file=path, found=f"{type(error).__name__}: {error}"[:160]) from error
     streams = []
     for entry in log.data_list:
         stamps = np.asarray(entry.data["timestamp"], dtype=np.float64) * 1e-6
