@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from realsim import __version__
-from realsim.core.types import MeshQuality, Platform, Reconstruction
+from realsim.core.types import MeshQuality, Reconstruction
 from realsim.report.verdict import Judgement, dropped_frames, scale_of
 
 _PACKAGES = ("numpy", "scipy", "open3d", "opencv-contrib-python-headless", "trimesh", "pymeshlab", "mujoco")
@@ -40,7 +40,7 @@ class Made:
 def summary(result: Reconstruction, judgement: Judgement, made: Made) -> dict[str, Any]:
     """The content of report.json. Lengths in metres, simulation frame unless a name says otherwise."""
     aligned, mesh = result.aligned, result.mesh
-    metric = aligned.metric
+    metric, points = aligned.metric, result.points
     start, goal = aligned.platform("start"), aligned.platform("goal")
     return {
         "verdict": judgement.as_dict(),
@@ -49,17 +49,11 @@ def summary(result: Reconstruction, judgement: Judgement, made: Made) -> dict[st
         "T_sim_world": aligned.T_sim_world,
         "world": "scan" if metric is None else "capture" if metric.world_is_capture else "chosen by the backend",
         "scale": _scale(result),
-        "gravity": {
-            "normal_world": aligned.gravity.normal_world,
-            "tilt_sigma_deg": aligned.gravity.tilt_sigma_deg,
-            "inlier_rms_m": aligned.gravity.inlier_rms_m,
-            "inliers": aligned.gravity.inliers,
-            "method": aligned.gravity.method,
-        },
+        "gravity": _fields(aligned.gravity, "normal_world tilt_sigma_deg inlier_rms_m inliers method"),
         "ground_z": aligned.ground_z,
-        "start": None if start is None else _platform(start),
-        "goal": None if goal is None else _platform(goal),
-        "platforms": [_platform(p) for p in aligned.platforms],
+        "start": None if start is None else _fields(start, _PLATFORM),
+        "goal": None if goal is None else _fields(goal, _PLATFORM),
+        "platforms": [_fields(p, _PLATFORM) for p in aligned.platforms],
         "bounds": aligned.bounds,
         "cropped": list(aligned.cropped),
         "frames": {
@@ -67,13 +61,18 @@ def summary(result: Reconstruction, judgement: Judgement, made: Made) -> dict[st
             "dropped": [{"name": n, "stage": s, "reason": r} for n, s, r in dropped_frames(result)],
         },
         "cameras": {} if metric is None else {f.name: aligned.T_sim_camera(i) for i, f in enumerate(metric.frames)},
-        "points": None if result.points is None else _points(result),
-        "mesh": _mesh(result),
+        "points": None if points is None else _fields(points, _POINTS) | {"statistics": dict(points.statistics)},
+        "mesh": {
+            "method": mesh.method,
+            "resolution_m": mesh.resolution,
+            "noise_m": mesh.noise_m,
+            "invented_triangles": int(np.count_nonzero(mesh.invented)),
+            **quality_dict(mesh.quality),
+            "residuals": [{"frame": r.name, "median_abs_m": r.median_abs_m} for r in mesh.residuals],
+        },
         "contact": dict(result.scene.contact),
         "checks": dict(result.scene.checks),
-        "stages": [
-            {"name": s.name, "seconds": s.seconds, "peak_mb": s.peak_mb, "reused": s.reused} for s in result.stages
-        ],
+        "stages": [vars(s) for s in result.stages],
         "assumptions": [*result.source.assumptions, *aligned.assumptions],
         "warnings": list(result.warnings),
         "changes": None if result.changes is None else dict(result.changes),
@@ -85,60 +84,27 @@ def summary(result: Reconstruction, judgement: Judgement, made: Made) -> dict[st
     }
 
 
+_PLATFORM = "role centroid size yaw area inferred"
+_POINTS = "backend pose_sigma_m depth_gain depth_gain_sigma metric_claim"
+
+
+def _fields(value: Any, names: str) -> dict[str, Any]:
+    """Some attributes by name."""
+    return {name: getattr(value, name) for name in names.split()}
+
+
 def _scale(result: Reconstruction) -> dict[str, Any]:
     estimate = scale_of(result)
     if estimate is None:
         return {"value": 1.0, "ci90": [1.0, 1.0], "per_frame_spread": 0.0, "method": "unit of the scan, as given"}
     assert result.aligned.metric is not None
-    return {
-        "value": estimate.value,
-        "ci90": list(estimate.ci90),
-        "per_frame_spread": estimate.per_frame_spread,
-        "method": estimate.method,
-        "per_frame": list(estimate.per_frame),
-        "depth_gain": result.aligned.metric.depth_gain,
-    }
-
-
-def _platform(p: Platform) -> dict[str, Any]:
-    return {
-        "role": p.role,
-        "centroid": p.centroid,
-        "size": p.size,
-        "yaw": p.yaw,
-        "area": p.area,
-        "inferred": p.inferred,
-    }
-
-
-def _points(result: Reconstruction) -> dict[str, Any]:
-    points = result.points
-    assert points is not None
-    return {
-        "backend": points.backend,
-        "pose_sigma_m": points.pose_sigma_m,
-        "depth_gain": points.depth_gain,
-        "depth_gain_sigma": points.depth_gain_sigma,
-        "metric_claim": points.metric_claim,
-        "statistics": dict(points.statistics),
-    }
-
-
-def _mesh(result: Reconstruction) -> dict[str, Any]:
-    mesh = result.mesh
-    return {
-        "method": mesh.method,
-        "resolution_m": mesh.resolution,
-        "noise_m": mesh.noise_m,
-        "invented_triangles": int(np.count_nonzero(mesh.invented)),
-        **quality_dict(mesh.quality),
-        "residuals": [{"frame": r.name, "median_abs_m": r.median_abs_m} for r in mesh.residuals],
-    }
+    found = _fields(estimate, "value ci90 per_frame_spread method per_frame")
+    return found | {"depth_gain": result.aligned.metric.depth_gain}
 
 
 def quality_dict(quality: MeshQuality) -> dict[str, Any]:
     """The checks of a mesh as JSON-able values."""
-    return {k: getattr(quality, k) for k in quality.__dataclass_fields__}
+    return dict(vars(quality))
 
 
 def versions() -> dict[str, str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from realsim.core.statistics import alike
+from realsim.core.types import F64, Bool
 from realsim.gap.case.units import ACCELERATION, TURNING, factor, gravity_unit, nearest_unit
 from realsim.gap.recordings.evidence import Evidence
 from realsim.gap.recordings.names import FEET
@@ -26,39 +27,40 @@ def orientation(e: Evidence) -> None:
     if source is None:
         return
     time, field = e.of(source)
-    values = field.values[:MOST]
+    time, values = time[:MOST], field.values[:MOST]
     length = np.linalg.norm(values, axis=1)
     good = np.isfinite(length) & (length > 0.1)
     if good.mean() < 0.5 or abs(np.median(length[good]) - 1) > 0.1:
-        e.proposal.warnings.append(f"{source.label} is no quaternion: its length is {np.nanmedian(length):.3g}")
+        e.warn(f"{source.label} is no quaternion: its length is {np.nanmedian(length):.3g}")
         return
-    by_label = tuple(field.labels.index(a) for a in "wxyz") if set("wxyz") <= set(field.labels) else None
-    evidence = [f"by {source.why}"]
-    if by_label is not None:
-        e.settle("base_quat", source, by_label, ("w", "x", "y", "z"), evidence, unit="as labelled")
+    axes, evidence = ("w", "x", "y", "z"), [f"by {source.why}"]
+    if set("wxyz") <= set(field.labels):
+        e.settle("base_quat", source, [field.labels.index(a) for a in axes], axes, evidence, unit="as labelled")
         return
     declared = source.unit if source.unit in ORDERS else ""
-    vertical = {name: _vertical(e, time[:MOST], values, good, columns) for name, columns in ORDERS.items()}
-    rates = {name: _rates(e, time[:MOST], values, good, columns) for name, columns in ORDERS.items()}
-    # The vertical alone does not tell a robot that stands upright from one turned about its vertical.
-    scores = {name: vertical[name] + rates[name] for name in ORDERS}
-    best = max(scores, key=lambda n: scores[n])
+    shown, scores = {}, {}
+    for name, columns in ORDERS.items():
+        quat = values[:, list(columns)]
+        vertical, rates = _vertical(e, time, quat, good), _rates(e, time, quat, good)
+        # The vertical alone does not tell a robot that stands upright from one turned about its vertical.
+        scores[name] = vertical + rates
+        shown[name] = f"{' '.join(name)} {vertical:.2f} and {rates:.2f}"
     apart = abs(scores["wxyz"] - scores["xyzw"])
     doubtful = not declared and apart < APART
     if doubtful:  # which of the two turns the robot less at its start
         order = max(ORDERS, key=lambda n: abs(float(values[good][0, ORDERS[n][0]])))
         evidence.append(f"its order cannot be tested: {' '.join(order)} turns the robot less at the start")
     else:
-        order = best if apart > APART else declared
-        shown = ", ".join(f"{' '.join(n)} {vertical[n]:.2f} and {rates[n]:.2f}" for n in ORDERS)
+        order = max(scores, key=lambda n: scores[n]) if apart > APART else declared
         if apart > 0:
-            evidence.append(f"agreement of its vertical with the accelerometer and its turning with the gyro: {shown}")
+            agreement = "agreement of its vertical with the accelerometer and its turning with the gyro"
+            evidence.append(f"{agreement}: {', '.join(shown.values())}")
     if declared and order != declared:
-        e.proposal.warnings.append(f"{source.label} is declared {declared}, and reads as {order}")
-    e.settle("base_quat", source, ORDERS[order], ("w", "x", "y", "z"), evidence, unit=order, doubtful=doubtful)
+        e.warn(f"{source.label} is declared {declared}, and reads as {order}")
+    e.settle("base_quat", source, ORDERS[order], axes, evidence, unit=order, doubtful=doubtful)
 
 
-def _rates(e: Evidence, time: np.ndarray, values: np.ndarray, good: np.ndarray, columns: tuple[int, ...]) -> float:
+def _rates(e: Evidence, time: F64, quat: F64, good: Bool) -> float:
     """Mean correlation of an orientation's turning with the gyroscope, weighed by its axes; 0 without a gyroscope."""
     gyro = next((c for c in e.candidates if c.role == "imu_gyro" and e.of(c)[1].width >= 3), None)
     use = good.copy()
@@ -66,14 +68,14 @@ def _rates(e: Evidence, time: np.ndarray, values: np.ndarray, good: np.ndarray, 
     if gyro is None or use.sum() < 50:
         return 0.0
     t, field = e.of(gyro)
-    clock, quat = time[use], values[use][:, list(columns)]
+    clock, quat = time[use], quat[use]
     rate = turning(clock, quat / np.linalg.norm(quat, axis=1, keepdims=True))
     read = at(t, field.values[:, :3], 0.5 * (clock[1:] + clock[:-1]))
     size = np.nanstd(read, axis=0)
     return float(sum(s * alike(read[:, k], rate[:, k]) for k, s in enumerate(size)) / max(float(size.sum()), 1e-9))
 
 
-def _vertical(e: Evidence, time: np.ndarray, values: np.ndarray, good: np.ndarray, columns: tuple[int, ...]) -> float:
+def _vertical(e: Evidence, time: F64, quat: F64, good: Bool) -> float:
     """Median cosine of the accelerometer with the vertical of an orientation; 0 without an accelerometer."""
     acc = next((c for c in e.candidates if c.role == "imu_acc" and e.of(c)[1].width >= 3), None)
     if acc is None:
@@ -84,8 +86,7 @@ def _vertical(e: Evidence, time: np.ndarray, values: np.ndarray, good: np.ndarra
     use = good & np.isfinite(size) & (size > 1e-6)
     if use.sum() < 5:
         return 0.0
-    up = upward(values[use][:, list(columns)])
-    return float(np.median((up * force[use]).sum(axis=1) / size[use]))
+    return float(np.median((upward(quat[use]) * force[use]).sum(axis=1) / size[use]))
 
 
 def accelerometer(e: Evidence) -> None:
@@ -93,30 +94,25 @@ def accelerometer(e: Evidence) -> None:
     source = _vector(e, "imu_acc", 3)
     if source is None:
         return
-    _, field = e.of(source)
-    values = field.values[:MOST, :3]
+    time, field = e.of(source)
+    values = field.values[:MOST]
     size = float(np.nanmedian(np.linalg.norm(values, axis=1)))
-    evidence = [f"by {source.why}"]
     unit = gravity_unit(size)
     if not unit:
-        e.proposal.warnings.append(
-            f"{source.label} is {size:.3g} long, which is no gravity in any unit: has gravity been removed? Not used"
-        )
+        why = "which is no gravity in any unit: has gravity been removed? Not used"
+        e.warn(f"{source.label} is {size:.3g} long, {why}")
         return
-    evidence.append(f"{size:.3g} long in the median -> {unit}")
-    sign = 1.0
-    quat = e.beside("base_quat", e.of(source)[0][:MOST])
-    if quat is not None:
-        use = np.isfinite(quat).all(axis=1) & np.isfinite(values).all(axis=1)
-        if use.sum() > 5:
-            along = float(np.median((upward(quat[use]) * values[use]).sum(axis=1)) / size)
-            evidence.append(f"along the vertical of the orientation: {along:.2f} of it")
-            sign = -1.0 if along < -0.7 else 1.0
-            if sign < 0:
-                evidence.append("negated: an accelerometer at rest reads +g up")
-    if not _has_site(e, source):
-        return
-    e.settle("imu_acc", source, (0, 1, 2), tuple("xyz"), evidence, scale=sign * ACCELERATION[unit], unit=unit)
+    evidence, sign = [f"by {source.why}", f"{size:.3g} long in the median -> {unit}"], 1.0
+    quat = e.beside("base_quat", time[:MOST])
+    use = np.isfinite(values).all(axis=1)
+    use = np.zeros_like(use) if quat is None else use & np.isfinite(quat).all(axis=1)
+    if quat is not None and use.sum() > 5:
+        along = float(np.median((upward(quat[use]) * values[use]).sum(axis=1)) / size)
+        sign = -1.0 if along < -0.7 else 1.0
+        evidence.append(f"along the vertical of the orientation: {along:.2f} of it")
+        evidence += ["negated: an accelerometer at rest reads +g up"] if sign < 0 else []
+    if _has_site(e, source):
+        e.settle("imu_acc", source, range(3), tuple("xyz"), evidence, scale=sign * ACCELERATION[unit], unit=unit)
 
 
 def gyroscope(e: Evidence) -> None:
@@ -125,31 +121,28 @@ def gyroscope(e: Evidence) -> None:
     if source is None or not _has_site(e, source):
         return
     time, field = e.of(source)
-    values = field.values[:MOST, :3]
+    values = field.values[:MOST]
     evidence, unit, sign = [f"by {source.why}"], source.unit or "rad/s", 1.0
     found = e.series("base_quat")
     if found is not None and len(found[0]) > 50:
         t, quat = found[0][:MOST], found[1][:MOST]
         keep = np.isfinite(quat).all(axis=1) & (np.linalg.norm(quat, axis=1) > 0.5)
         keep[1:] &= np.diff(t) > 0
-        t, quat = t[keep], quat[keep]
-        rate = turning(t, quat)
+        t, rate = t[keep], turning(t[keep], quat[keep])
         read = at(time[:MOST], values, 0.5 * (t[1:] + t[:-1]))
         axis = int(np.nanargmax(np.nanstd(rate, axis=0)))
         corr = alike(read[:, axis], rate[:, axis])
         if abs(corr) > 0.5:
             ratio = factor(read[:, axis], rate[:, axis])
-            unit = nearest_unit(ratio, TURNING)
-            sign = float(np.sign(ratio))
-            evidence.append(
-                f"against the orientation's change: correlation {corr:.2f}, factor {ratio:.3g} -> {unit}"
-                + (", negated" if sign < 0 else "")
-            )
-    largest = float(np.nanmax(np.abs(values))) * TURNING.get(unit, 1.0)
+            unit, sign = nearest_unit(ratio, TURNING), float(np.sign(ratio))
+            said = f"against the orientation's change: correlation {corr:.2f}, factor {ratio:.3g} -> {unit}"
+            evidence.append(said + (", negated" if sign < 0 else ""))
+    scale = TURNING.get(unit, 1.0)
+    largest = float(np.nanmax(np.abs(values))) * scale
     if largest > 60:
         evidence.append(f"up to {largest:.3g} rad/s, which is much: is it in deg/s?")
-    e.settle("imu_gyro", source, (0, 1, 2), tuple("xyz"), evidence, scale=sign * TURNING.get(unit, 1.0), unit=unit,
-             doubtful=len(evidence) < 2)  # fmt: skip
+    doubtful = len(evidence) < 2
+    e.settle("imu_gyro", source, range(3), tuple("xyz"), evidence, scale=sign * scale, unit=unit, doubtful=doubtful)
 
 
 def place(e: Evidence) -> None:
@@ -159,14 +152,13 @@ def place(e: Evidence) -> None:
     source = _vector(e, "base_pos", 3)
     if source is None:
         return
-    values = e.of(source)[1].values[:, :3]
-    height = float(np.nanmedian(values[:, 2]))
+    height = float(np.nanmedian(e.of(source)[1].values[:, 2]))
     unit = "mm" if abs(height) > 30 else "m"
     evidence = [f"by {source.why}", f"height {height:.3g} -> {unit}"]
     if e.target is not None:
         usual = float(e.target.reference[2])
         evidence.append(f"the model's reference stands at {usual:.3g} m")
-    e.settle("base_pos", source, (0, 1, 2), tuple("xyz"), evidence, scale=1e-3 if unit == "mm" else 1.0, unit=unit)
+    e.settle("base_pos", source, range(3), tuple("xyz"), evidence, scale=1e-3 if unit == "mm" else 1.0, unit=unit)
 
 
 def contact(e: Evidence) -> None:
@@ -178,7 +170,7 @@ def contact(e: Evidence) -> None:
     _, field = e.of(source)
     bodies, how = _feet(e, field.labels, field.width)
     if not bodies:
-        e.proposal.warnings.append(f"{source.label}: which foot is which is not known; it is left out")
+        e.warn(f"{source.label}: which foot is which is not known; it is left out")
         return
     values = field.values
     states = np.unique(values[np.isfinite(values)][:MOST])
@@ -188,7 +180,7 @@ def contact(e: Evidence) -> None:
     flat = values[np.isfinite(values)]
     threshold = LIFTED * float(np.percentile(flat, 90))
     if (flat < threshold).mean() < 0.01:
-        e.proposal.warnings.append(f"{source.label}: no foot is ever lifted: left out")
+        e.warn(f"{source.label}: no foot is ever lifted: left out")
         return
     said = f"a force: a foot stands above {threshold:.4g}, {LIFTED:.0%} of the 90th percentile"
     e.settle("contact", source, range(len(bodies)), bodies, [f"by {source.why}", how, said],

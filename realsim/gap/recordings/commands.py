@@ -75,7 +75,7 @@ def command(e: Evidence) -> None:
             doubtful=doubtful or wanted != kind,
         )  # fmt: skip
         if wanted and wanted != kind:
-            e.proposal.warnings.append(
+            e.warn(
                 f"the log commands {kind}s, the model's actuators take {wanted}s: give the model {kind} actuators, "
                 f"or name the field of {wanted}s: --use command=STREAM:FIELD"
             )
@@ -134,13 +134,13 @@ def enabled(e: Evidence) -> None:
         return
     values = e.of(source)[1].values
     if not set(np.unique(values[np.isfinite(values)])) <= {0.0, 1.0} or not (values == 1).any():
-        e.proposal.warnings.append(f"{source.label} is not 0 and 1 for drives that are off and on: left out")
+        e.warn(f"{source.label} is not 0 and 1 for drives that are off and on: left out")
         return
     columns = [0] * len(command.targets)
     if values.shape[1] > 1:
         columns = list(command.columns)
         if values.shape[1] <= max(columns):
-            e.proposal.warnings.append(f"{source.label} has {values.shape[1]} columns: left out")
+            e.warn(f"{source.label} has {values.shape[1]} columns: left out")
             return
     e.settle("enabled", source, columns, command.targets, [f"by {source.why}", "0 and 1"], unit="1")
 
@@ -284,9 +284,7 @@ def _gains(e: Evidence, source: Candidate) -> None:
             said = np.nanmedian(field.values[:, list(command.columns)], axis=0)
             off = float((field.values[:, list(command.columns)] == 0).all(axis=1).mean())
             if name == "kp" and off > 0.01:
-                e.proposal.warnings.append(
-                    f"kp is 0 in {off:.0%} of the commands: torque is off there; read the rest: --skip, --seconds"
-                )
+                e.warn(f"kp is 0 in {off:.0%} of the commands: torque is off there; read the rest: --skip, --seconds")
         elif isinstance(facts[name], (int, float)):
             said = np.full(len(model), float(facts[name]))
         else:
@@ -294,7 +292,7 @@ def _gains(e: Evidence, source: Candidate) -> None:
         odd = np.abs(said - model) > 0.02 * np.maximum(np.abs(model), 1e-6)
         if odd.any():
             j = int(np.argmax(odd))
-            e.proposal.warnings.append(
+            e.warn(
                 f"{name} of {int(odd.sum())} servos is not the model's: {command.targets[j]} has {said[j]:.4g} logged, "
                 f"{model[j]:.4g} in the model: set what was sent, if it is in N m/rad"
             )

@@ -79,6 +79,10 @@ class Evidence:
         """The first of `ranked`."""
         return next(iter(self.ranked(found)), None)
 
+    def warn(self, text: str) -> None:
+        """Add to the proposal's warnings."""
+        self.proposal.warnings.append(text)
+
     def settle(
         self, role: str, source: Candidate, columns: Sequence[int], targets: Sequence[str], evidence: Sequence[str], *,
         scale: Any = 1.0, offset: Any = 0.0, unit: str = "",

@@ -162,42 +162,31 @@ def _said_about_clocks(proposal: Proposal, times: Mapping[str, Clocked], frames:
 
 
 def _missing(proposal: Proposal, target: Target | None, candidates: Sequence[Candidate]) -> None:
-    have = proposal.assignments
-    if proposal.jointless and "base_pos" not in have:
-        proposal.missing.append(
-            "base_pos (needed): no field of the body's position; name it: --use base_pos=STREAM:FIELD"
-        )
-    elif not proposal.jointless and "joint_pos" not in have:
-        proposal.missing.append(
-            "joint_pos (needed): no field of joint positions is known by its name; name it: "
-            f"--use joint_pos={_example(proposal)}"
-        )
-    if "command" not in have:
-        still = [c.label for c in candidates if c.role.startswith("command")]
-        proposal.missing.append(
-            f"command (needed): {', '.join(still[:3])} never changes, which tells nothing of the joints: record motion"
-            if still
-            else "command (needed): no field of commands is known by its name; name it: "
-            f"--use command={_example(proposal)}; or record the command topic too"
-        )
-    optional = (
-        {}
-        if proposal.jointless
-        else {
-            "joint_vel": "velocities",
-            "joint_torque": "torques: gains, friction and payload are told apart by them",
-        }
-    )
+    have, missing = proposal.assignments, proposal.missing
+    example = _example(proposal)
+    if proposal.place not in have and proposal.jointless:
+        missing.append("base_pos (needed): no field of the body's position; name it: --use base_pos=STREAM:FIELD")
+    elif proposal.place not in have:
+        what = "no field of joint positions is known by its name"
+        missing.append(f"joint_pos (needed): {what}; name it: --use joint_pos={example}")
+    still = [c.label for c in candidates if c.role.startswith("command")]
+    if "command" not in have and still:
+        what = f"{', '.join(still[:3])} never changes, which tells nothing of the joints: record motion"
+        missing.append(f"command (needed): {what}")
+    elif "command" not in have:
+        what = f"no field of commands is known by its name; name it: --use command={example}"
+        missing.append(f"command (needed): {what}; or record the command topic too")
+    optional = {} if proposal.jointless else {
+        "joint_vel": "velocities", "joint_torque": "torques: gains, friction and payload are told apart by them",
+    }  # fmt: skip
     if proposal.base == "floating":
         optional |= {
             "base_quat": "the base's orientation", "base_pos": "the base's position",
             "imu_gyro": "angular velocity of the base", "contact": "which foot stands",
         }  # fmt: skip
-    for role, what in optional.items():
-        if role not in have:
-            proposal.missing.append(f"{role}: {what}")
+    missing += [f"{role}: {what}" for role, what in optional.items() if role not in have]
     if target is None:
-        proposal.missing.append("--model: without it the order, signs and units of joints are not tested")
+        missing.append("--model: without it the order, signs and units of joints are not tested")
     elif proposal.joints:
         left = [j for j in target.joints if j not in proposal.joints]
         if left:

@@ -296,15 +296,16 @@ def velocity(e: Evidence) -> None:
         return
     for source in e.ranked(_with_samples(e, e.candidates_for("joint_vel"))):
         columns, names, how = columns_for(e, source)
-        if len(columns) == len(e.proposal.joints) and _velocity(e, source, columns, names, how):
+        if len(columns) == len(e.proposal.joints) and _velocity(e, source, columns, names, [f"by {source.why}", how]):
             return
 
 
-def _velocity(e: Evidence, source: Candidate, columns: list[int], names: list[str], how: str) -> bool:
+def _velocity(e: Evidence, source: Candidate, columns: list[int], names: list[str], evidence: list[str]) -> bool:
     """Settle a field as the joints' velocity; False where it is not the slope of their positions."""
     time, field = e.of(source)
     place = e.beside("joint_pos", time)
     assert place is not None
+    usual = source.unit if source.unit in TURNING else "rad/s"
     factors, corrs = [], []
     for k, column in enumerate(columns):
         moved, sums = travelled(time, place[:, k], field.values[:, column])
@@ -312,33 +313,26 @@ def _velocity(e: Evidence, source: Candidate, columns: list[int], names: list[st
             factors.append(factor(sums, moved))
             corrs.append(alike(sums, moved))
     if not factors:
-        e.settle("joint_vel", source, columns, names, [f"by {source.why}", how, "no joint moves: nothing tests it"],
-                 scale=TURNING.get(source.unit, 1.0), unit=source.unit or "rad/s", doubtful=True)  # fmt: skip
+        evidence.append("no joint moves: nothing tests it")
+        e.settle("joint_vel", source, columns, names, evidence, scale=TURNING[usual], unit=usual, doubtful=True)
         return True
-    signs = np.sign(np.array(factors))
     ratio, corr = float(np.median(np.abs(factors))), float(np.median(np.abs(corrs)))
     if corr < 0.6 and "joint_vel" not in e.chosen:
-        e.proposal.warnings.append(
-            f"{source.label} is no velocity of the joints: correlation {corr:.2f} with what their positions travel"
-        )
+        why = f"correlation {corr:.2f} with what their positions travel"
+        e.warn(f"{source.label} is no velocity of the joints: {why}")
         return False
     unit = nearest_unit(ratio, TURNING)
-    odd = [n for n, c in zip(names, corrs, strict=False) if abs(c) < 0.6] if len(corrs) == len(names) else []
+    odd = [n for n, c in zip(names, corrs, strict=True) if abs(c) < 0.6] if len(corrs) == len(names) else []
     close = abs(ratio * TURNING[unit] - 1) < NEAR and not odd
-    said = f"its integral against the positions: correlation {corr:.3f}, factor {ratio:.4g} -> {unit}"
-    if not close:
-        usual = source.unit if source.unit in TURNING else "rad/s"
-        said = f"its integral against the positions: correlation {corr:.3f}, factor {ratio:.4g}, left in {usual}"
-        unit = usual
-    turned = signs < 0
-    flips = np.ones(len(columns))
-    if turned.all():
-        flips[:] = -1.0
-        said += ", and negated"
+    text = f"its integral against the positions: correlation {corr:.3f}, factor {ratio:.4g}"
+    text += f" -> {unit}" if close else f", left in {usual}"
+    negated = all(f < 0 for f in factors)
+    text += ", and negated" if negated else ""
     if odd:
-        said += f"; that of {', '.join(odd)} has nothing to do with its position: --use joint_vel=none leaves it out"
-    e.settle("joint_vel", source, columns, names, [f"by {source.why}", how, said], scale=TURNING[unit] * flips,
-             unit=unit,             doubtful=not close)  # fmt: skip
+        text += f"; that of {', '.join(odd)} has nothing to do with its position: --use joint_vel=none leaves it out"
+    unit = unit if close else usual
+    scale = TURNING[unit] * (-1.0 if negated else 1.0)
+    e.settle("joint_vel", source, columns, names, [*evidence, text], scale=scale, unit=unit, doubtful=not close)
     return True
 
 
@@ -354,30 +348,25 @@ def torque(e: Evidence) -> None:
         return
     time, field = e.of(source)
     if not np.nanstd(field.values[:, columns]) > 0:
-        e.proposal.warnings.append(f"{source.label} never changes: it is left out")
+        e.warn(f"{source.label} never changes: it is left out")
         return
     current = is_electric(source.member)
-    kind = "current_times_constant" if current else "measured"
-    evidence, scale, doubtful = [f"by {source.why}", how], 1.0, True
+    evidence = [f"by {source.why}", how]
     if current:
         evidence.append("a current, or a load without a unit: its factor to N m is not known")
-    place = e.beside("joint_pos", time)
+    place, need = e.beside("joint_pos", time), None
     if e.target is not None and not e.target.floating and place is not None:
         need = _needed(e, tuple(names), place, time)
-        if need is not None:
-            rows, tau = need
-            logged = field.values[rows][:, columns]
-            corrs = np.array([alike(logged[:, k], tau[:, k]) for k in range(len(names))])
-            ratio = float(np.nanmedian([factor(logged[:, k], tau[:, k]) for k in range(len(names))]))
-            scale, unit, said, doubtful = _torque_unit(ratio, corrs, source.unit)
-            evidence.append(said)
-            e.settle("joint_torque", source, columns, names, evidence, scale=scale, unit=unit, doubtful=doubtful)
-            e.proposal.torque_kind = kind
-            return
     unit = source.unit or "N m"
-    e.settle("joint_torque", source, columns, names, [*evidence, "nothing here tests its size"],
-             scale=TORQUE.get(unit, 1.0), unit=unit, doubtful=True)  # fmt: skip
-    e.proposal.torque_kind = kind
+    scale, text, doubtful = TORQUE.get(unit, 1.0), "nothing here tests its size", True
+    if need is not None:
+        rows, tau = need
+        logged = field.values[rows][:, columns]
+        corrs = np.array([alike(logged[:, k], tau[:, k]) for k in range(len(names))])
+        ratio = float(np.nanmedian([factor(logged[:, k], tau[:, k]) for k in range(len(names))]))
+        scale, unit, text, doubtful = _torque_unit(ratio, corrs, source.unit)
+    e.settle("joint_torque", source, columns, names, [*evidence, text], scale=scale, unit=unit, doubtful=doubtful)
+    e.proposal.torque_kind = "current_times_constant" if current else "measured"
 
 
 def _torque_unit(ratio: float, corrs: F64, declared: str) -> tuple[float, str, str, bool]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -46,10 +46,7 @@ class Found:
     notes: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
-        return {
-            "verdict": self.verdict, "sentence": self.sentence, "errors": list(self.errors), "left": self.left,
-            "after": self.after, "notes": list(self.notes),
-        }  # fmt: skip
+        return asdict(self)
 
 
 def check(contract: Contract, steps: Steps) -> Found:

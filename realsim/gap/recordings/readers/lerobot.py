@@ -69,8 +69,8 @@ def read(path: Path, window: Window) -> list[Recording]:
         clock = whole["timestamp"][rows] if "timestamp" in whole else rows / float(info.get("fps", 30))
         keep = in_window(clock, window)
         if keep.any():
-            columns = {n: Field(v[rows[keep]], labels[n]) for n, v in fields.items()}
-            stream = Stream("", "lerobot", {"timestamp": clock[keep]}, columns)
+            parts_of = {n: Field(v[rows[keep]], labels[n]) for n, v in fields.items()}
+            stream = Stream("", "lerobot", {"timestamp": clock[keep]}, parts_of)
             found.append(Recording(path, f"episode_{int(episode):06d}", "lerobot", (stream,), skipped, notes, facts))
     if not found:
         raise no_samples(path, "episodes with rows", window=window)
