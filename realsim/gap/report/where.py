@@ -1,4 +1,4 @@
-"""More on where the gap lies: bins that stand out, torques and wrenches that lack."""
+"""More on where the gap lies: torques and wrenches that lack."""
 
 from __future__ import annotations
 
