@@ -37,6 +37,8 @@ LAYOUTS = Registry(
         "scan": "realsim.capture.layouts.scan:LAYOUT",
         "plain": "realsim.capture.layouts.plain:LAYOUT",
     },
+    group="realsim.layouts",
+    of="realsim.capture.layout:Layout",
 )
 
 

@@ -13,7 +13,7 @@ LAYOUTS = (
     "{auto,open3d,tum,sevenscenes,scannet,pcd,nerfstudio,polycam,record3d,record3d_exr,stray,arkitscenes,scannerapp,"
     "realsense,rosbag,scan,plain}"
 )
-"""What --help shows; a test holds it to the registry."""
+"""What --help shows, besides those of installed packages; a test holds it to the registry."""
 
 
 @dataclass(frozen=True)

@@ -24,11 +24,13 @@ class Registry(Mapping[str, Any]):
         entries: name -> "package.module:attribute".
         group: entry points of this group, of any package that is installed, come after the entries; no entry is
             replaced by one.
+        of: "module:class" that an entry of such a package must be an instance of.
     """
 
-    def __init__(self, kind: str, entries: Mapping[str, str], group: str = "") -> None:
+    def __init__(self, kind: str, entries: Mapping[str, str], group: str = "", of: str = "") -> None:
         self.kind = kind
         self.group = group
+        self.of = of
         self.own = dict(entries)
 
     @cached_property
@@ -41,18 +43,20 @@ class Registry(Mapping[str, Any]):
         if name not in self._entries:
             hint = f"install the package that adds it (entry point of the group {self.group})" if self.group else None
             raise UnknownNameError(self.kind, name, self._entries, hint=hint)
-        module, _, attribute = self._entries[name].partition(":")
         if name in self.own:
-            return getattr(import_module(module), attribute)
+            return _load(self.own[name])
         try:
-            return getattr(import_module(module), attribute)
-        except (ImportError, AttributeError) as error:
+            found = _load(self._entries[name])
+            if self.of and not isinstance(found, _load(self.of)):
+                raise TypeError(f"{repr(found)[:80]} is no {self.of}")
+        except (ImportError, AttributeError, TypeError) as error:
             raise RealsimError(
                 f"the {self.kind} {name!r} of an installed package cannot be loaded",
                 expected=f"{self._entries[name]} (entry point of the group {self.group})",
                 found=str(error),
                 hint="mend that package and install it again, or uninstall it",
             ) from error
+        return found
 
     def joined(self, more: Mapping[str, str]) -> Registry:
         """This registry with further entries; its own win."""
@@ -66,6 +70,11 @@ class Registry(Mapping[str, Any]):
 
     def __len__(self) -> int:
         return len(self._entries)
+
+
+def _load(place: str) -> Any:
+    module, _, attribute = place.partition(":")
+    return getattr(import_module(module), attribute)
 
 
 def lazily(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:

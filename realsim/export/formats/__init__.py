@@ -35,6 +35,8 @@ EXPORTERS = Registry(
         "heightmap": "realsim.export.formats.heightmap:heightmap",
         "foxglove": "realsim.export.formats.foxglove:foxglove",
     },
+    group="realsim.formats",
+    of="collections.abc:Callable",
 )
 
 
