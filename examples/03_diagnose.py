@@ -51,7 +51,7 @@ for seed in range(6):
         mujoco.mj_step(robot, data)
     log = np.array(rows)
     signals = {"time": log[:, 0], "command": log[:, 1:3], "joint_pos": log[:, 3:5], "joint_vel": log[:, 5:]}
-    np.savez(case / "runs" / f"{seed}.npz", **signals)
+    np.savez(case / "runs" / f"run_{seed}.npz", **signals)
 
 found = rs.diagnose(case, case.parent / "diagnosis")
 print(found.sentence)

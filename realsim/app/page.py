@@ -48,19 +48,27 @@ class Desk:
     async def open(self, text: str) -> None:
         """Recognise what is at a path: by its files, then by the command that reads it, then by pictures.
 
+        What was being looked at before is given up.
+
         Raises:
             RealsimError: no such path below the folder.
         """
         path = self.roots.source(text)
+        before, self.look = self.look, None
+        if before is not None:
+            await before.cancel()
         # An input of no known kind is read as a capture, whose reader says what is missing.
-        self.opened, self.preview, self.look = path, Preview(), None
-        self.kind = recognise(path) or KINDS["capture"]
-        command, _ = WAYS.get(self.kind.name, ((), ()))
-        if command:
-            self.look = Work("look", (*command, str(path)))
-            await self.look.run()
-        if self.kind.name in ("capture", "mesh", "scan") and self.look is not None and self.look.state == "done":
-            self.preview = await asyncio.to_thread(preview, path)
+        self.opened, self.preview = path, Preview()
+        kind = self.kind = recognise(path) or KINDS["capture"]
+        command, _ = WAYS.get(kind.name, ((), ()))
+        if not command:
+            return
+        look = self.look = Work("look", (*command, str(path)))
+        await look.run()
+        if look.state == "done" and kind.name in ("capture", "mesh", "scan"):
+            found = await asyncio.to_thread(preview, path)
+            if self.look is look:
+                self.preview = found
 
     def start(self, title: str, arguments: tuple[str, ...], out: Path | None) -> Work:
         """Queue a command; it runs when those before it have ended."""

@@ -39,8 +39,11 @@ def reconstruction_page(
     view = scene_view(folder, result, marks, unseen=unseen)
     # What is not to be used does not begin with how it is used.
     first, second = [use_card(folder)], [_checks_card(judgement)]
+    notes = [_notes_card(result), *_scale_card(result), _platform_card(result), _dropped_card(result)]
     if judgement.level == "bad":
         first, second = second, first
+    # Beside the checks, which are as long as all notes, or below the short card of commands.
+    (second if judgement.level == "bad" else notes).extend(contact_card(result))
     body = [
         page.verdict(judgement.level, judgement.headline, judgement.reasons, judgement.next_steps),
         page.facts(_facts(result)),
@@ -50,10 +53,7 @@ def reconstruction_page(
             page.card("From above", map_from_above(result.aligned, result.mesh, marks, unseen=unseen), wide=True),
         ),
         page.grid(*_changes_card(result)),
-        page.columns(
-            [*second, *contact_card(result)],
-            [_notes_card(result), *_scale_card(result), _platform_card(result), _dropped_card(result)],
-        ),
+        page.columns(second, notes),
         page.grid(*modes_card(result), *_residual_card(result), *_thumbnail_card(result)),
         page.columns([_run_card(result, made)], [_mesh_card(result), _versions_card(result)]),
     ]
@@ -65,7 +65,7 @@ def reconstruction_page(
 def _picture_card(picture: U8 | str) -> list[str]:
     if isinstance(picture, str):
         return [page.card("In MuJoCo", page.bullets([], f"No picture: {picture}"))]
-    uri = raster.jpeg_uri(picture, picture.shape[1], quality=82)
+    uri = raster.photo_uri(picture, picture.shape[1], quality=82)
     body = f'<img class="picture" src="{uri}" alt="the scene as MuJoCo draws it">'
     return [page.card("In MuJoCo", body, "scene.xml as MuJoCo draws it. Surfaces that no camera saw are left open.")]
 
@@ -77,7 +77,7 @@ def _facts(result: Reconstruction) -> list[tuple[str, str, str]]:
     if scale is not None:
         half = (scale.ci90[1] - scale.ci90[0]) / 2
         out.append(("Scale", f"{scale.value:.4f}", f"± {half:.4f} (90 %), {scale.method}"))
-    out.append(("Level", f"± {aligned.gravity.tilt_sigma_deg:.2f}°", "standard error of the tilt"))
+    out.append(("Level", f"± {aligned.gravity.tilt_sigma_deg:.2g}°", "standard error of the tilt"))
     if aligned.metric is not None:
         dropped = len(dropped_frames(result))
         out.append(("Frames", f"{len(aligned.metric)} used", f"{dropped} dropped"))
@@ -141,7 +141,7 @@ def _residual_card(result: Reconstruction) -> list[str]:
     for r in result.mesh.residuals:
         picture = raster.colorize(r.image, -_RESIDUAL_RANGE, _RESIDUAL_RANGE, raster.SIGNED)
         step = max(1, round(picture.shape[1] / 200))
-        items.append((raster.png_uri(picture[::step, ::step]), f"{r.name}: {millimetres(r.median_abs_m)}", "median"))
+        items.append((raster.photo_uri(picture[::step, ::step], 200), f"{r.name}: {millimetres(r.median_abs_m)}", "median"))
     if not items:
         return []
     body = page.thumbnails(items) + svg.color_bar(-1e3 * _RESIDUAL_RANGE, 1e3 * _RESIDUAL_RANGE, "mm", raster.SIGNED)
@@ -159,7 +159,7 @@ def _thumbnail_card(result: Reconstruction) -> list[str]:
         color = metric.frames[i].color()
         if color is not None:
             x, y, z = result.aligned.T_sim_camera(int(i))[:3, 3]
-            items.append((raster.jpeg_uri(color, 200), metric.frames[i].name, f"camera at {x:.2f} {y:.2f} {z:.2f} m"))
+            items.append((raster.photo_uri(color, 200), metric.frames[i].name, f"camera at {x:.2f} {y:.2f} {z:.2f} m"))
     return (
         [page.card("What the camera saw", page.thumbnails(items), f"{len(items)} of {len(metric)} views.", wide=True)]
         if items

@@ -1,4 +1,4 @@
-"""Pictures as data URIs: colour maps, PNG for figures, JPEG for photographs. Same array, same bytes."""
+"""Pictures as data URIs: colour maps, PNG for figures, WebP for photographs and maps. Same array, same bytes."""
 
 from __future__ import annotations
 
@@ -45,13 +45,14 @@ def png_uri(image: U8) -> str:
     return "data:image/png;base64," + base64.b64encode(data).decode()
 
 
-def jpeg_uri(image: U8, width: int, quality: int = 72) -> str:
-    """Data URI of an (H, W, 3) RGB photograph, shrunk to at most `width` pixels across."""
+def photo_uri(image: U8, width: int, quality: int = 72) -> str:
+    """Data URI of an (H, W, 3) RGB or (H, W, 4) RGBA picture, shrunk to at most `width` pixels across (WebP, lossy)."""
     import cv2
 
     h, w = image.shape[:2]
     if w > width:
         size = (width, max(1, round(h * width / w)))
         image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
-    _, data = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality])
-    return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode()
+    swap = cv2.COLOR_RGB2BGR if image.shape[2] == 3 else cv2.COLOR_RGBA2BGRA
+    _, data = cv2.imencode(".webp", cv2.cvtColor(image, swap), [cv2.IMWRITE_WEBP_QUALITY, quality])
+    return "data:image/webp;base64," + base64.b64encode(data.tobytes()).decode()

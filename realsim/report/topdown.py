@@ -91,7 +91,7 @@ def _map(
         x_ticks=[(-v, text) for v, text in numbers] if x_up else None,
         grid=False,
     )
-    axes.image(raster.png_uri(np.rot90(picture) if x_up else picture), (*across, *up))
+    axes.image(raster.photo_uri(np.ascontiguousarray(np.rot90(picture) if x_up else picture), _CELLS, 85), (*across, *up))
     thin = max(0.7, width / 980)
     for p in aligned.platforms:
         ink = ROLE_INK.get(p.role, "#ffffff")

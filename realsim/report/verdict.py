@@ -133,7 +133,7 @@ def millimetres(value: float) -> str:
 
 
 def _degrees(value: float) -> str:
-    return f"{value:.2f}°"
+    return f"{value:.2g}°"
 
 
 def scale_of(result: Reconstruction) -> ScaleEstimate | None:

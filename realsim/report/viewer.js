@@ -4,7 +4,7 @@
 (() => {
   const VERTEX = `#version 300 es
     in vec3 position; in vec3 color;
-    uniform mat4 view; uniform mat4 projection; uniform vec3 low; uniform vec3 size; uniform float point;
+    uniform mat4 view; uniform mat4 projection; uniform vec3 low; uniform float size; uniform float point;
     out vec3 eye; out vec3 tint;
     void main() {
       vec4 p = view * vec4(low + position * size, 1.0);
@@ -27,7 +27,24 @@
       result = vec4(c * opacity, opacity);
     }`;
 
-  const bytes = text => Uint8Array.from(atob(text), c => c.charCodeAt(0));
+  // Integers of `width` bytes, as _deflated of viewer3d.py packs them.
+  async function unpack(text, width) {
+    const packed = new Blob([Uint8Array.from(atob(text), c => c.charCodeAt(0))]);
+    const planes = new Uint8Array(await new Response(packed.stream().pipeThrough(new DecompressionStream("deflate"))).arrayBuffer());
+    const values = new Uint32Array(planes.length / width);
+    planes.forEach((byte, i) => { values[i % values.length] |= byte << 8 * Math.floor(i / values.length); });
+    return values;
+  }
+  // Rows of three numbers from what each adds to the one before, column by column.
+  function summed(steps, rows) {
+    for (let k = 0, n = steps.length / 3; k < 3; k++) for (let i = 0, sum = 0; i < n; i++) rows[3 * i + k] = sum += steps[k * n + i];
+    return rows;
+  }
+  async function decode(layer) {
+    const places = await unpack(layer.vertices, 2), cells = await unpack(layer.cells, 4), tints = layer.colors && await unpack(layer.colors, 1);
+    for (let i = 0, next = 0; i < cells.length; i++) cells[i] = cells[i] ? next - cells[i] : next++;
+    return { ...layer, cells, vertices: summed(places, new Uint16Array(places.length)), colors: tints && summed(tints, new Uint8Array(tints.length)) };
+  }
   const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
   const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
   const unit = a => { const l = Math.hypot(...a); return a.map(v => v / l); };
@@ -57,16 +74,14 @@
     const array = gl.createVertexArray();
     gl.bindVertexArray(array);
     const buffer = (target, data) => { gl.bindBuffer(target, gl.createBuffer()); gl.bufferData(target, data, gl.STATIC_DRAW); };
-    buffer(gl.ARRAY_BUFFER, new Uint16Array(bytes(layer.vertices).buffer));
+    buffer(gl.ARRAY_BUFFER, layer.vertices);
     gl.enableVertexAttribArray(0); gl.vertexAttribPointer(0, 3, gl.UNSIGNED_SHORT, true, 0, 0);
     if (layer.colors) {
-      buffer(gl.ARRAY_BUFFER, bytes(layer.colors));
+      buffer(gl.ARRAY_BUFFER, layer.colors);
       gl.enableVertexAttribArray(1); gl.vertexAttribPointer(1, 3, gl.UNSIGNED_BYTE, true, 0, 0);
     }
-    const raw = bytes(layer.cells).buffer;
-    const cells = layer.wide ? new Uint32Array(raw) : new Uint16Array(raw);
-    buffer(gl.ELEMENT_ARRAY_BUFFER, cells);
-    return { ...layer, array, count: cells.length, type: layer.wide ? gl.UNSIGNED_INT : gl.UNSIGNED_SHORT,
+    buffer(gl.ELEMENT_ARRAY_BUFFER, layer.cells);
+    return { ...layer, array, count: layer.cells.length,
       mode: { triangles: gl.TRIANGLES, lines: gl.LINES, points: gl.POINTS }[layer.kind] };
   }
 
@@ -74,22 +89,22 @@
   function sample(layers, most = 3000) {
     const points = [];
     for (const l of layers) {
-      const raw = new Uint16Array(bytes(l.vertices).buffer), n = raw.length / 3, step = Math.max(1, Math.floor(n * layers.length / most));
-      for (let i = 0; i < n; i += step) points.push([0, 1, 2].map(k => l.low[k] + l.size[k] * raw[3 * i + k] / 65535));
+      const n = l.vertices.length / 3, step = Math.max(1, Math.floor(n * layers.length / most));
+      for (let i = 0; i < n; i += step) points.push([0, 1, 2].map(k => l.low[k] + l.size * l.vertices[3 * i + k] / 65535));
     }
     return points;
   }
 
   const middle = values => (Math.min(...values) + Math.max(...values)) / 2;
 
-  function start(host) {
-    const data = JSON.parse(host.querySelector("script").textContent);
+  async function start(host) {
     const canvas = host.appendChild(document.createElement("canvas"));
     const gl = canvas.getContext("webgl2", { antialias: true, alpha: true, premultipliedAlpha: true });
-    if (!gl) {
-      host.insertAdjacentHTML("beforeend", '<div class="message">This browser offers no WebGL 2, which the 3D view needs. The rest of the page is whole.</div>');
+    if (!gl || !window.DecompressionStream) {
+      host.insertAdjacentHTML("beforeend", '<div class="message">The 3D view needs a browser of 2023 or later, with WebGL 2. The rest of the page is whole.</div>');
       return;
     }
+    const data = await Promise.all(JSON.parse(host.querySelector("script").textContent).map(decode));
     const shader = program(gl);
     const at = name => gl.getUniformLocation(shader, name);
     const place = Object.fromEntries(["view", "projection", "low", "size", "point", "opacity", "lit"].map(n => [n, at(n)]));
@@ -168,14 +183,14 @@
       gl.polygonOffset(1, 1);
       for (const l of [...shown.filter(l => l.opacity >= 1), ...shown.filter(l => l.opacity < 1)]) {
         gl.bindVertexArray(l.array);
-        gl.uniform3fv(place.low, l.low); gl.uniform3fv(place.size, l.size);
+        gl.uniform3fv(place.low, l.low); gl.uniform1f(place.size, l.size);
         gl.uniform1f(place.opacity, l.opacity); gl.uniform1f(place.point, 3 * ratio);
         gl.uniform1i(place.lit, l.kind === "triangles" ? 1 : 0);
         if (l.color) gl.vertexAttrib3f(1, ...l.color.map(c => c / 255));
         gl.depthMask(l.opacity >= 1);
         // Solid surfaces lie a little further back, so that lines and transparent layers on them do not flicker.
         if (l.kind === "triangles" && l.opacity >= 1) gl.enable(gl.POLYGON_OFFSET_FILL); else gl.disable(gl.POLYGON_OFFSET_FILL);
-        gl.drawElements(l.mode, l.count, l.type, 0);
+        gl.drawElements(l.mode, l.count, gl.UNSIGNED_INT, 0);
       }
       gl.depthMask(true);
     }

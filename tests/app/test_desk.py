@@ -33,6 +33,24 @@ def test_what_is_recognised_has_commands_that_exist(tmp_path: Path) -> None:
     assert desk.look is None
 
 
+def test_what_is_opened_last_is_shown(tmp_path: Path) -> None:
+    """Also where something that takes longer was opened before it."""
+    trimesh.creation.box((1, 1, 0.2)).export(tmp_path / "a.stl")
+    (tmp_path / "walk.mp4").write_bytes(b"\0\0\0 ftyp")
+    desk = Desk(Roots([tmp_path]))
+
+    async def both() -> None:
+        slow = asyncio.create_task(desk.open("a.stl"))
+        await asyncio.sleep(0.3)
+        await desk.open("walk.mp4")
+        await slow
+
+    asyncio.run(both())
+    assert desk.opened == tmp_path / "walk.mp4"
+    assert desk.look is None
+    assert desk.preview.points is None
+
+
 def test_a_command_is_made_of_what_was_entered(tmp_path: Path) -> None:
     values = {"--unit": "mm", "--up": "as found"}
     made = arguments_of(ACTIONS["contact"], tmp_path / "a.stl", tmp_path / "out", values)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import re
+import zlib
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -80,14 +81,25 @@ def test_colour_map_ends_and_holes() -> None:
 
 
 def test_viewer_packs_what_it_is_given() -> None:
-    V = np.random.default_rng(1).uniform(-2, 3, (50, 3))
-    F = np.random.default_rng(2).integers(0, 50, (20, 3))
-    html = viewer3d.viewer([viewer3d.Layer("</script>", V, F), viewer3d.Layer("nothing", np.zeros((0, 3)), [])])
+    """Read back as viewer.js does: every corner of every triangle has its place and colour."""
+    rng = np.random.default_rng(1)
+    V, C = rng.uniform(-2, 3, (50, 3)), rng.integers(0, 256, (50, 3), np.uint8)
+    F = rng.integers(0, 50, (20, 3))
+    html = viewer3d.viewer([viewer3d.Layer("</script>", V, F, C), viewer3d.Layer("nothing", np.zeros((0, 3)), [])])
     (layer,) = json.loads(re.findall(r'json">(.*?)</script>', html)[0])
-    low, size = np.array(layer["low"]), np.array(layer["size"])
-    read = low + np.frombuffer(base64.b64decode(layer["vertices"]), "<u2").reshape(-1, 3) / 65535 * size
-    np.testing.assert_allclose(read, V, atol=1e-4)
-    np.testing.assert_array_equal(np.frombuffer(base64.b64decode(layer["cells"]), "<u2").reshape(-1, 3), F)
+
+    def unpacked(name: str, width: int) -> np.ndarray:
+        planes = np.frombuffer(zlib.decompress(base64.b64decode(layer[name])), np.uint8).reshape(width, -1)
+        return np.array([sum(int(b) << 8 * k for k, b in enumerate(column)) for column in planes.T])
+
+    cells = []
+    for back in unpacked("cells", 4):
+        cells.append(len(set(cells)) - back)
+    places, colors = (
+        unpacked(name, width).reshape(3, -1).T.cumsum(0) % 256**width for name, width in (("vertices", 2), ("colors", 1))
+    )
+    np.testing.assert_allclose(layer["low"] + places[cells] / 65535 * layer["size"], V[F.ravel()], atol=1e-4)
+    np.testing.assert_array_equal(colors[cells], C[F.ravel()])
     assert layer["name"] == "</script>"
 
 

@@ -42,9 +42,7 @@ def training_page(runs: Sequence[Run], extra: Sequence[str] = ()) -> str:
     body = "".join([*_pick(shown), top, page.grid(*filter(None, cards))])
     title = f"Training of {runs[0].name}" if shown.one else f"{len(runs)} training runs"
     css = files("trainer.report").joinpath("page.css").read_text(encoding="utf-8")
-    robots = ", ".join(dict.fromkeys(r.robot for r in runs if r.robot))
-    subtitle = ", ".join(filter(None, [robots, *(str(r.folder) for r in runs)]))
-    return page.document(title, subtitle, f"<style>{css}</style>{body}")
+    return page.document(title, _subtitle(runs), f"<style>{css}</style>{body}")
 
 
 def _pick(shown: Shown) -> list[str]:
@@ -58,6 +56,16 @@ def _pick(shown: Shown) -> list[str]:
     labels = "".join(f'<label for="x-{axis}">{axis}</label>' for axis in known)
     colors = "" if shown.one else figures.legend([(r.name, i) for i, r in enumerate(shown.runs)])
     return [*boxes, f'<nav class="pick">over {labels}{colors}</nav>']
+
+
+def _subtitle(runs: Sequence[Run]) -> str:
+    parts = [*dict.fromkeys(r.robot for r in runs if r.robot)]
+    parts += [str(r.folder) for r in runs if len(runs) > 1 or str(r.folder) != r.name]
+    if len(runs) == 1 and len(seen := runs[0].on_the_way) > 1:
+        (first, before), (last, after) = seen[0, :2], seen[-1, :2]
+        parts.insert(0, f"evaluations: success {tables.percent(before)} after {first:.0f} iterations, "
+                        f"{tables.percent(after)} after {last:.0f}")  # fmt: skip
+    return ", ".join(parts)
 
 
 def _facts(shown: Shown) -> str:

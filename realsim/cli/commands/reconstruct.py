@@ -74,7 +74,7 @@ def _summary(result: Reconstruction) -> list[str]:
     if result.changes is not None:
         lines += [f"since   {change['text']}" for change in result.changes["objects"]] or ["since   nothing changed"]
     gravity = result.aligned.gravity
-    lines.append(f"level   to within {gravity.tilt_sigma_deg:.2f} degrees (1 sigma)")
+    lines.append(f"level   to within {gravity.tilt_sigma_deg:.2g} degrees (1 sigma)")
     for role in ("start", "goal"):
         platform = result.aligned.platform(role)
         if platform is not None:

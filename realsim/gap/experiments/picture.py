@@ -13,7 +13,7 @@ from realsim.gap.case.model.channels import unit_of
 from realsim.gap.experiments.choose import Looked
 from realsim.gap.experiments.rivals import Rival
 from realsim.gap.experiments.separation import Predicted
-from realsim.gap.report.overlays import differences
+from realsim.gap.report.overlays import LEFT, differences
 from realsim.gap.report.words import signal_name
 from realsim.report import page, svg
 
@@ -90,7 +90,7 @@ def _pair(case: Case, predicted: Predicted, run: int, c: int, changes: Sequence[
     curves = [m[run][::fine, c] for m in predicted.motions]
     unit = unit_of(channel.signal, channel.label, case.model)
     every = svg.padded(np.concatenate(curves), 0.08)
-    top = svg.Axes(span, every, y_label=unit, height=170, left=52, bottom=8, x_ticks=[])
+    top = svg.Axes(span, every, y_label=unit, height=170, left=LEFT, bottom=8, x_ticks=[])
     for i, y in enumerate(curves):
         dash = "6 3" if i else ""
         top.polyline(np.column_stack([planned.time[::fine], y]), svg.color(i), width=1.8, dash=dash)

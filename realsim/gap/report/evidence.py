@@ -14,13 +14,11 @@ from realsim.gap.report.words import after, interval, percent, places, title_of
 from realsim.report import page, svg
 
 APPLY = """\
-import json
 import mujoco
-from realsim.gap import apply_patch
+import realsim as rs
 
 spec = mujoco.MjSpec.from_file("{model}")
-patch = json.load(open("diagnosis.json"))["patch"]
-wrappers = apply_patch(spec, patch)
+wrappers = rs.apply_patch(spec, rs.load_diagnosis("."))
 model = spec.compile()"""
 
 

@@ -17,6 +17,8 @@ from realsim.report.solids import solids
 
 _ROW = 'style="display:grid;gap:14px 26px;grid-template-columns:repeat(auto-fit,minmax(min(420px,100%),1fr))"'
 _MEASURED, _NOMINAL, _PATCHED = "var(--ink)", "var(--c1)", "var(--good)"
+LEFT = 66
+"""Room for the numbers (−0.002) and the label of two plots one above the other."""
 _POINTS = 220
 """At most this many points a curve: more cannot be seen."""
 _NEAR = 1.5
@@ -61,7 +63,7 @@ def _overlay(kept: Arrays, k: int, channel: int, start: float, end: float) -> st
     spread = svg.padded(real, 1.5)
     every = np.concatenate([real, *(np.clip(y, *spread) for y, _ in curves)])
     title = f"{short(c.label, 30)}, {signal_name(c.signal)}, {run.name}"
-    axes = svg.Axes(span, svg.padded(every, 0.08), y_label=unit, height=170, left=52, bottom=8, x_ticks=[])
+    axes = svg.Axes(span, svg.padded(every, 0.08), y_label=unit, height=170, left=LEFT, bottom=8, x_ticks=[])
     axes.dots(np.column_stack([t, real]), _MEASURED, radius=1.6)
     for y, stroke in curves:
         axes.polyline(np.column_stack([t, y]), stroke, width=1.8, dash="6 3" if stroke == _NOMINAL else "")
@@ -79,7 +81,7 @@ def differences(t: F64, curves: list[tuple[F64, str]], floor: float, span: tuple
     half = 1.1 * max(largest, 1.5 * floor)
     power = 10.0 ** np.floor(np.log10(0.8 * half))
     even = float(0.8 * half // power * power)  # one digit, so that the label is short
-    axes = svg.Axes(span, (-half, half), x_label="time, s", y_label=label, height=104, left=52, top=2,
+    axes = svg.Axes(span, (-half, half), x_label="time, s", y_label=label, height=104, left=LEFT, top=2,
                     y_ticks=[(v, svg.number(v, 1)) for v in (-even, 0.0, even)])  # fmt: skip
     axes.span(-floor, floor, _PATCHED)
     for error, stroke in curves:
