@@ -332,7 +332,7 @@ def _report(desk: Desk, refreshed: Callable[[], None]) -> None:
             ui.link("in a tab of its own", source, new_tab=True)
             ui.button("Close", on_click=close).props("flat dense")
         ui.html(
-            f'<iframe src="{source}" title="report" sandbox="allow-scripts allow-downloads" '
+            f'<iframe src="{source}" title="report" sandbox="allow-scripts allow-downloads" allow="clipboard-write" '
             'style="width:100%;height:80vh;border:0"></iframe>',
             sanitize=False,
         ).classes("w-full")

@@ -9,6 +9,10 @@ from realsim.capture.layout import Layout, Recognition
 from realsim.core.errors import CaptureError
 
 MAX_SUBFOLDERS = 200
+NO_DEPTH = (
+    "colour alone makes no scene: record with an app or camera that stores depth (docs/captures.md), or give the mesh "
+    "that photogrammetry makes of pictures"
+)
 LAST_RESORT = 1
 """Score of a layout that is only taken where nothing speaks for another one."""
 
@@ -71,7 +75,7 @@ def _not_recognised(path: Path, seen: Mapping[str, Recognition], layouts: Mappin
         file=path,
         expected="one of\n" + "\n".join(f"    {known}: {layout.looks_for}" for known, layout in layouts.items()),
         found=_what_is_there(path),
-        hint=_subfolder_hint(path, layouts),
+        hint=_subfolder_hint(path, layouts) or NO_DEPTH,
     )
 
 

@@ -14,6 +14,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
+from itertools import takewhile
 from typing import Any
 
 from realsim.core.errors import RealsimError
@@ -148,7 +149,8 @@ def _usage_error(event: Any, function: Callable[..., Any], name: str, arguments:
     message = str(getattr(event, "message", "the arguments do not fit"))
     if shown is not None:
         found = _given(arguments, shown)
-        return UsageError(f"{shown} cannot take this value", expected=takes, found=found or message, hint=every)
+        apart = f"separate values by spaces: {found.replace(',', ' ')}" if found and "," in found else every
+        return UsageError(f"{shown} cannot take this value", expected=takes, found=found or message, hint=apart)
     return UsageError(_with_option_names(message, known), hint=every)
 
 
@@ -157,7 +159,7 @@ def _given(arguments: Sequence[str], names: str) -> str | None:
     for i, word in enumerate(arguments):
         name, equals, value = word.partition("=")
         if name.replace("_", "-") in names.split("/"):
-            following = [value] if equals else arguments[i + 1 : i + 3]
+            following = [value] if equals else takewhile(lambda w: not w.startswith("--"), arguments[i + 1 : i + 3])
             return " ".join([name, *following])
     return None
 

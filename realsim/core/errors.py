@@ -212,15 +212,24 @@ def explain_missing_packages(what: str) -> Iterator[None]:
 
 
 class UnknownNameError(RealsimError):
-    """A name is not in a registry or a list; the message gives those that are, the closest first."""
+    """A name is not in a registry or a list; the message gives those that are, the closest first.
+
+    Args:
+        hint: what may help beside the closest names; otherwise: what to do where none is close.
+    """
 
     def __init__(
-        self, kind: str, name: str, known: Iterable[str], *, file: str | Path | None = None, hint: str | None = None
-    ) -> None:
+        self, kind: str, name: str, known: Iterable[str], *, file: str | Path | None = None, hint: str | None = None,
+        otherwise: str = "give one of these names",
+    ) -> None:  # fmt: skip
         names = sorted(known)
+        parts = name.split(",")
+        close = did_you_mean(name, names, cutoff=0.5)
+        if len(parts) > 1 and {*parts} <= {*names}:
+            close = f"write them apart: {' '.join(parts)}"
         super().__init__(
             f"unknown {kind} {name!r}",
             file=file,
             expected=f"one of {', '.join(names)}",
-            hint="; ".join(filter(None, (did_you_mean(name, names, cutoff=0.4), hint))) or "give one of these names",
+            hint=" Or: ".join(filter(None, (close, hint))) or otherwise,
         )

@@ -57,9 +57,10 @@ def load_mjcf(
         model = spec.copy().compile()
     except Exception as error:  # MuJoCo raises ValueError and its own types
         found = str(error).splitlines()[0][:200]
-        hint = "copy the robot's meshes to where the model looks for them, or take out the geoms that need them"
-        missing = "opening file" in found
-        raise GapError("the model does not compile", file=path, found=found, hint=hint if missing else None) from error
+        hint = f"mend it until MuJoCo loads it: python -m mujoco.viewer --mjcf={path}"
+        if "opening file" in found:
+            hint = "copy the robot's meshes to where the model looks for them, or take out the geoms that need them"
+        raise GapError("the model does not compile", file=path, found=found, hint=hint) from error
     if (odd := odd_number(model)) is not None:
         expected = "finite numbers of a robot's size"
         raise GapError("the model cannot be simulated", file=path, expected=expected, found=odd)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 import inspect
 import os
+import re
 import shlex
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
@@ -199,7 +200,9 @@ def explain(error: RealsimError, path: Path, takes: Collection[str]) -> bool:
     """
     if not _exists(path):
         near = _siblings(path)
-        if (near and error.hint is None) or error.hint == "check the path":
+        if re.match("[a-z0-9]+:/", str(path)):
+            error.hint = "download it first: files and folders of this machine are read"
+        elif (near and error.hint is None) or error.hint == "check the path":
             error.hint = did_you_mean(path.name, near, cutoff=0.6) or error.hint
         return False
     kind = recognise(path)
@@ -237,6 +240,7 @@ TAKES = {
     "recording": ("recording", "bag"),
     **dict.fromkeys(("model", "init"), ("model",)),
     "file": ("network",),
+    "mjcf": ("model", "scene", "contact scene"),
 }
 """Parameter -> the kinds of input that it takes. A name means the same in all commands and functions of the API."""
 
@@ -251,6 +255,8 @@ def explain_inputs(function: Callable[P, T], takes: Mapping[str, Collection[str]
         except RealsimError as error:
             for name, value in inspect.signature(function).bind_partial(*args, **kwargs).arguments.items():
                 paths = value if isinstance(value, tuple) else (value,)
+                # Of many, the one that the error is about.
+                paths = [path for path in paths if str(path) == error.file] or paths
                 for path in paths if name in takes else ():
                     if isinstance(path, str | os.PathLike) and str(path) and explain(error, Path(path), takes[name]):
                         raise

@@ -24,13 +24,17 @@ class Registry(Mapping[str, Any]):
         entries: name -> "package.module:attribute".
         group: entry points of this group, of any package that is installed, come after the entries; no entry is
             replaced by one.
+        otherwise: what to do about a name that is like none of the entries.
         of: "module:class" that an entry of such a package must be an instance of.
     """
 
-    def __init__(self, kind: str, entries: Mapping[str, str], group: str = "", of: str = "") -> None:
+    def __init__(
+        self, kind: str, entries: Mapping[str, str], group: str = "", of: str = "", otherwise: str = ""
+    ) -> None:
         self.kind = kind
         self.group = group
         self.of = of
+        self.otherwise = otherwise
         self.own = dict(entries)
 
     @cached_property
@@ -41,8 +45,10 @@ class Registry(Mapping[str, Any]):
 
     def __getitem__(self, name: str) -> Any:
         if name not in self._entries:
-            hint = f"install the package that adds it (entry point of the group {self.group})" if self.group else None
-            raise UnknownNameError(self.kind, name, self._entries, hint=hint)
+            otherwise = self.otherwise
+            if self.group and not otherwise:
+                otherwise = f"install the package that adds it (entry point of the group {self.group})"
+            raise UnknownNameError(self.kind, name, self._entries, otherwise=otherwise or "give one of these names")
         if name in self.own:
             return _load(self.own[name])
         try:

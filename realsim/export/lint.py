@@ -109,7 +109,8 @@ def _load(path: Path) -> Any:
     try:
         return mujoco.MjModel.from_xml_path(str(path))
     except ValueError as error:
-        raise ExportError("MuJoCo does not load the model", file=path, expected="MJCF", found=str(error)) from error
+        found = " ".join(str(error).split())
+        raise ExportError("MuJoCo does not load the model", file=path, expected="MJCF", found=found) from error
 
 
 def _static(model: Any, path: Path) -> _Static:

@@ -132,6 +132,8 @@ def _rivals(found: Mapping[str, Any], file: Path) -> list[Any]:
             file=file,
             expected="a diagnosis with at least two sets of causes (verdict ambiguous)",
             found=f"verdict {found.get('verdict')}, {count} set" + "s" * (count != 1),
-            hint="diagnose the case with this version of realsim" if count > 1 else None,
+            hint="diagnose the case with this version of realsim"
+            if count > 1
+            else "one set of causes needs no experiment: simulate with the patched model.xml of the diagnosis",
         )
     return said

@@ -141,7 +141,9 @@ def _residual_card(result: Reconstruction) -> list[str]:
     for r in result.mesh.residuals:
         picture = raster.colorize(r.image, -_RESIDUAL_RANGE, _RESIDUAL_RANGE, raster.SIGNED)
         step = max(1, round(picture.shape[1] / 200))
-        items.append((raster.photo_uri(picture[::step, ::step], 200), f"{r.name}: {millimetres(r.median_abs_m)}", "median"))
+        items.append(
+            (raster.photo_uri(picture[::step, ::step], 200), f"{r.name}: {millimetres(r.median_abs_m)}", "median")
+        )
     if not items:
         return []
     body = page.thumbnails(items) + svg.color_bar(-1e3 * _RESIDUAL_RANGE, 1e3 * _RESIDUAL_RANGE, "mm", raster.SIGNED)

@@ -6,6 +6,7 @@ passed on as they are. A page needs no network: style, scripts, pictures and mes
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from html import escape
 from importlib.resources import files
@@ -22,6 +23,11 @@ def esc(value: Any) -> str:
     return escape(str(value), quote=True)
 
 
+def prose(text: str) -> str:
+    """A sentence made safe for HTML; what stands between backticks in it is something to type."""
+    return re.sub("`([^`]+)`", r"<code>\1</code>", esc(text))
+
+
 def asset(name: str) -> str:
     """Text of a file that lies beside this module."""
     return files("realsim.report").joinpath(name).read_text(encoding="utf-8")
@@ -36,7 +42,7 @@ def verdict(level: Level, headline: str, reasons: Sequence[str], steps: Sequence
     """The banner at the top: the verdict, its reasons, one sentence each, less the headline, and what to do next."""
     rest = [r for r in reasons if r != headline]
     return (
-        f'<section class="verdict {level}"><div class="word">{WORDS[level]}</div><div><h2>{esc(headline)}</h2>'
+        f'<section class="verdict {level}"><div class="word">{WORDS[level]}</div><div><h2>{prose(headline)}</h2>'
         f"{folded_bullets(rest, 'more', 5) if rest else ''}{f'<h4>Next</h4>{bullets(steps)}' if steps else ''}"
         "</div></section>"
     )
@@ -53,13 +59,13 @@ def facts(items: Sequence[tuple[str, str, str]]) -> str:
 
 def card(title: str, body: str, note: str = "", *, wide: bool = False) -> str:
     """A framed part of the page; `note` says how to read it. `wide` takes the whole width of the page."""
-    text = f'<p class="note">{esc(note)}</p>' if note else ""
+    text = f'<p class="note">{prose(note)}</p>' if note else ""
     return f'<section class="card{" wide" if wide else ""}"><h3>{esc(title)}</h3>{text}{body}</section>'
 
 
 def folded(title: str, body: str, note: str = "") -> str:
     """A card that is closed until it is asked for."""
-    text = f'<p class="note">{esc(note)}</p>' if note else ""
+    text = f'<p class="note">{prose(note)}</p>' if note else ""
     return f'<details class="card"><summary><h3>{esc(title)}</h3></summary>{text}{body}</details>'
 
 
@@ -87,8 +93,8 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]], *, raw: Sequence[i
 def bullets(items: Sequence[str], empty: str = "none") -> str:
     """A plain list of sentences."""
     if not items:
-        return f'<p class="note">{esc(empty)}</p>'
-    return "<ul>" + "".join(f"<li>{esc(i)}</li>" for i in items) + "</ul>"
+        return f'<p class="note">{prose(empty)}</p>'
+    return "<ul>" + "".join(f"<li>{prose(i)}</li>" for i in items) + "</ul>"
 
 
 def folded_bullets(items: Sequence[str], what: str, shown: int = 3) -> str:

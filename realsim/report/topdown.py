@@ -91,7 +91,9 @@ def _map(
         x_ticks=[(-v, text) for v, text in numbers] if x_up else None,
         grid=False,
     )
-    axes.image(raster.photo_uri(np.ascontiguousarray(np.rot90(picture) if x_up else picture), _CELLS, 85), (*across, *up))
+    axes.image(
+        raster.photo_uri(np.ascontiguousarray(np.rot90(picture) if x_up else picture), _CELLS, 85), (*across, *up)
+    )
     thin = max(0.7, width / 980)
     for p in aligned.platforms:
         ink = ROLE_INK.get(p.role, "#ffffff")
@@ -149,7 +151,8 @@ def _camera_path(axes: svg.Axes, aligned: AlignedScene, eyes: F64, turn: F64, th
     for ink, extra in (("#1b2030", 1.8), ("#ffffff", 0.0)):
         axes.polyline(at, ink, width=thin * (1.2 + extra)).polyline(looks, ink, width=thin * (0.9 + extra))
         axes.dots(at, ink, radius=thin * (2.0 + extra / 2), titles=names)
-    axes.text(at[0, 0], at[0, 1], "first view", anchor="start", dy=-10, fill="var(--ink)", halo=True)
+    away = 18 if len(at) > 1 and at[1, 1] > at[0, 1] else -10  # where the way does not go
+    axes.text(at[0, 0], at[0, 1], "first view", anchor="start", dy=away, fill="var(--ink)", halo=True)
 
 
 def _about(p: Any) -> str:

@@ -2,7 +2,7 @@
 
 Positions are quantised to 16 bits of the layer's longest side (a 5 m scene: 0.08 mm), colours to 8 bits. Vertices are
 numbered as the cells first use them, so that neighbours in the file are neighbours in space: their differences, one
-plane a byte, deflate to a quarter. As base64 they stand in the page, so that the file opens from disk without a network.
+plane a byte, deflate to a quarter. The page has them as base64, so that the file opens from disk without a network.
 """
 
 from __future__ import annotations

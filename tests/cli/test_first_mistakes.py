@@ -89,6 +89,14 @@ MISTAKES = {
     "demo --robot go1 --out d": "menagerie:go1",
     "diagnos case": "did you mean diagnose",
     "contact stairs.stl --tolerance 1": "did you mean --contact-tolerance",
+    "contact https://example.org/a.stl --out c": "download it first",
+    "diagnose --check": "realsim diagnose CASE --check",
+    "export scene --to gazebo": "Gazebo: sdf",
+    "export scene": "--to usd,urdf",
+    "lint policy.onnx": "realsim model inspect policy.onnx",
+    "log stairs.step": ".glb, .obj or .stl",
+    "reconstruct frame logs --out s": "did you mean frames",
+    "reconstruct frames --start 1,2 --out s": "--start 1 2",
 }
 
 

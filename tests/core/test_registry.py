@@ -44,6 +44,13 @@ def test_what_packages_may_add_is_looked_for_in_packages(group: str) -> None:
     assert "play" in str(caught.value)
 
 
+@pytest.mark.parametrize(("name", "hint"), [("play,lag", "write them apart: play lag"), ("pley", "did you mean play?")])
+def test_what_was_meant_is_said(name: str, hint: str) -> None:
+    with pytest.raises(UnknownNameError) as caught:
+        Registry("effect", {"play": "nowhere:PLAY", "lag": "nowhere:LAG"}, "realsim.effects")[name]
+    assert caught.value.hint == hint
+
+
 @pytest.fixture
 def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Install:
     """Leaves a package with an entry point as pip would."""

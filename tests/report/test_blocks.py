@@ -96,7 +96,8 @@ def test_viewer_packs_what_it_is_given() -> None:
     for back in unpacked("cells", 4):
         cells.append(len(set(cells)) - back)
     places, colors = (
-        unpacked(name, width).reshape(3, -1).T.cumsum(0) % 256**width for name, width in (("vertices", 2), ("colors", 1))
+        unpacked(name, width).reshape(3, -1).T.cumsum(0) % 256**width
+        for name, width in (("vertices", 2), ("colors", 1))
     )
     np.testing.assert_allclose(layer["low"] + places[cells] / 65535 * layer["size"], V[F.ravel()], atol=1e-4)
     np.testing.assert_array_equal(colors[cells], C[F.ravel()])

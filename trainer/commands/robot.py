@@ -16,7 +16,7 @@ from trainer.errors import TrainerError
 
 def robot(
     what: Annotated[Literal["new", "check"], tyro.conf.Positional],
-    file: Annotated[Path, tyro.conf.Positional],
+    path: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(name="file")],
     out: Path | None = None,
     overwrite: bool = False,
 ) -> CommandResult:
@@ -28,7 +28,7 @@ def robot(
 
     Args:
         what: new or check
-        file: of new the model, .xml or .urdf; of check the file that new wrote (.toml), or a robot's name.
+        path: of new the model, .xml or .urdf; of check the file that new wrote (.toml), or a robot's name.
         out: of new, the file; if not given, the model's name with .toml in this folder.
         overwrite: replace a file that is there already.
     """
@@ -36,12 +36,12 @@ def robot(
     from trainer.robots import named
 
     if what == "new":
-        return _new(file, out or Path(f"{file.stem}.toml"), overwrite)
+        return _new(path, out or Path(f"{path.stem}.toml"), overwrite)
     if out is not None:
         raise TrainerError("a check writes no file", expected="realsim robot check FILE", found=f"--out {out}")
     from trainer.robots.check import check
 
-    findings = check(named(str(file)))
+    findings = check(named(str(path)))
     worst = next((level for level in ("bad", "look") if any(f.level == level for f in findings)), "good")
     words = {"good": "ok", "look": "look at", "bad": "wrong"}
     lines = [f"{words[f.level]:<8} {f.text}" for f in findings]

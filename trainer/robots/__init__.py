@@ -41,5 +41,6 @@ def named(name: str, file: Path | None = None) -> TrainedRobot:
 
         return load(Path(name))
     if name not in ROBOTS:
-        raise UnknownNameError("robot", name, ROBOTS, file=file)
+        hint = f"realsim robot new {name} makes a robot of it" if Path(name).suffix in (".xml", ".urdf") else None
+        raise UnknownNameError("robot", name, ROBOTS, file=file, hint=hint)
     return ROBOTS[name]()

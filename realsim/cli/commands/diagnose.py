@@ -69,7 +69,9 @@ def diagnose(
         return CommandResult(text, {"case": str(made)})
     if not cases:
         raise RealsimError(
-            "no case given", expected="realsim diagnose CASE --out DIR, --init MODEL.xml, or --explain EFFECT"
+            "no case given",
+            expected="realsim diagnose CASE --out DIR, --init MODEL.xml, or --explain EFFECT",
+            hint="realsim diagnose CASE --check; realsim log makes a case of a recording",
         )
     if model is None:
         refuse_recording(cases[0])
@@ -183,10 +185,12 @@ def _summary(result: Mapping[str, Any], out: Path, config: DiagnoseConfig) -> st
     from realsim.gap.answer.brief import brief
 
     said = SAID[GapVerdict(result["verdict"])]
+    # The finding itself where it can be acted on; what else a sentence would say stands in the rows.
+    finding = result["sentence"] if said.level == "good" and result["causes"] else said.headline
     parts = brief(result)
     rows = [row for part in parts.values() for row in part]
     warnings = result["health"]["warnings"]
     if warnings:
         rows.append(("notes", f"{len(warnings)} about the log, in the report; the first: {warnings[0]}"))
     rows.append(("files", f"{out / 'model.xml'}, {out / ('report.html' if config.report else 'diagnosis.json')}"))
-    return "\n".join([f"{said.word}: {said.headline}", *(f"  {label:<9}{text}" for label, text in rows)])
+    return "\n".join([f"{said.word}: {finding}", *(f"  {label:<9}{text}" for label, text in rows)])

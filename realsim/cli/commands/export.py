@@ -43,7 +43,9 @@ def export(
         names = [("warp" if name == "mjcf" else name) for name in names or ["mjcf"]]
     if not names:
         raise RealsimError(
-            "no format given", expected=f"--to all, or some of {', '.join(EXPORTERS)}, separated by commas"
+            "no format given",
+            expected=f"--to all, or some of {', '.join(EXPORTERS)}, separated by commas",
+            hint=f"realsim export {scenes[0] if scenes else 'SCENE'} --to usd,urdf",
         )
     if not scenes:
         raise RealsimError("no scene given", expected="realsim export SCENE --to FORMATS")

@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from realsim.cli.commands import WORDS, CommandResult, other_arguments
+from realsim.core.errors import RealsimError
 from realsim.jobs import FOLDER, ManyConfig, Outcome, make_job, run_many
 
 DROPPED = {"--out": 1, "--jobs": 1, "--executor": 1, "--ray": 1, "--slurm": 1}
@@ -32,7 +33,15 @@ def run_each(
         place: output folder of an input; OUT/NAME if None.
         parts: names of the folders in it that appear by themselves; see `make_job`.
         levels: verdict -> good, look or bad, of a command whose verdict is a word.
+
+    Raises:
+        RealsimError: one of the inputs is not there; nothing is begun.
     """
+    for path in inputs:
+        if not path.exists():
+            name = " ".join(map(str, inputs))
+            hint = f'put the name in quotes: "{name}"' if Path(name).exists() else "check the path"
+            raise RealsimError("no such input", file=path, hint=hint)
     options = other_arguments(DROPPED, [str(p) for p in inputs])
     targets = [out / path.resolve().name if place is None else place(path) for path in inputs]
     jobs = [

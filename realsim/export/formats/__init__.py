@@ -37,6 +37,7 @@ EXPORTERS = Registry(
     },
     group="realsim.formats",
     of="collections.abc:Callable",
+    otherwise="for Isaac Sim and Isaac Lab: usd; for Gazebo: sdf; docs/contact.md says what reads which",
 )
 
 

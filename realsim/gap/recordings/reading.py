@@ -56,6 +56,7 @@ def unknown(path: Path) -> GapError:
         file=path,
         expected="; ".join(READERS[name].looks_for for name in READERS),
         found=path.suffix or "no file ending",
+        hint="save it as .csv or .parquet with a column of time and one for each signal (docs/logs.md)",
     )
 
 
