@@ -60,7 +60,9 @@ def _data(result: Reconstruction) -> dict[str, Any]:
 
 
 def _summary(result: Reconstruction) -> list[str]:
-    lines = [f"scene   {result.scene.scene_xml}", f"report  {result.scene.folder / 'report.html'}"]
+    folder, here = result.scene.folder, Path.cwd()
+    folder = folder.relative_to(here) if folder.is_relative_to(here) else folder
+    lines = [f"scene   {folder / 'scene.xml'}", f"report  {folder / 'report.html'}"]
     if result.points is not None and result.aligned.metric is not None:
         scale = result.aligned.metric.scale
         dropped = dropped_frames(result)
