@@ -256,8 +256,8 @@ def explain_inputs(function: Callable[P, T], takes: Mapping[str, Collection[str]
             for name, value in inspect.signature(function).bind_partial(*args, **kwargs).arguments.items():
                 paths = value if isinstance(value, tuple) else (value,)
                 # Of many, the one that the error is about.
-                paths = [path for path in paths if str(path) == error.file] or paths
-                for path in paths if name in takes else ():
+                meant = [path for path in paths if str(path) == error.file] or paths
+                for path in meant if name in takes else ():
                     if isinstance(path, str | os.PathLike) and str(path) and explain(error, Path(path), takes[name]):
                         raise
             raise
