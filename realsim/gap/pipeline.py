@@ -42,6 +42,9 @@ from realsim.gap.verdicts import GapVerdict
 Look = Callable[[Screen, Selection], dict[str, Any]]
 """Called with the search before the simulator closes; what it returns goes into `statistics`."""
 Progress = Callable[[str, float], None]
+LIES, WAITING, FLIGHT, GRAVITY = 0.5, 0.25, 1.0, 9.81
+"""Share of its usual thrust below which a drone that does not fall lies on the ground, s before and after in which it
+would, the shortest flight, s, and m/s2. Not tuned; two Crazyflies on the ground give a fiftieth."""
 
 
 def diagnose(
@@ -109,7 +112,9 @@ def limited(case: Case, config: DiagnoseConfig) -> Case:
     """At most max_runs runs of at most max_seconds each; what is left out is noted."""
     usual = figures.WALKED if case.floating and case.joint_names else figures.LONGEST
     notes, seconds = [], usual if config.max_seconds is None else config.max_seconds
-    runs = list(case.runs)
+    runs = [part for run in case.runs for part in aloft(case, run)]
+    if [r.name for r in runs] != [r.name for r in case.runs]:
+        notes.append("where the robot lies on the ground, which its model falls through, its runs are cut")
     if len(runs) > config.max_runs:
         added = [r for r in runs if r.name in case.added]
         others = [r for r in runs if r.name not in case.added]
@@ -138,6 +143,28 @@ def limited(case: Case, config: DiagnoseConfig) -> Case:
             hint="raise max_seconds (--max-seconds)",
         )
     return case.with_runs(tuple(runs), *notes)
+
+
+def aloft(case: Case, run: Run) -> list[Run]:
+    """Stretches of a run in which a robot without joints is in the air: it lies where it gives less than half of its
+    usual thrust and does not fall. The run itself where that is all of it, or none."""
+    place, push = run.signals.get("base_pos"), np.abs(run.command).sum(axis=1)
+    if case.joint_names or not case.floating or place is None or not push.any():
+        return [run]
+    known = np.isfinite(place[:, 2])
+    if not known.any():
+        return [run]
+    before, now, after = (
+        np.interp(run.time + late, run.time[known], place[known, 2]) for late in (-WAITING, 0.0, WAITING)
+    )
+    falling = 2 * now - before - after > 0.5 * (1 - LIES) * GRAVITY * WAITING**2
+    usual = float(np.median(push[push > LIES * push.max()]))
+    edges = np.flatnonzero(np.diff(falling | (push >= LIES * usual), prepend=False, append=False)).reshape(-1, 2)
+    long = [(b, e) for b, e in edges if run.time[e - 1] - run.time[b] > FLIGHT]
+    if not long or long == [(0, len(run.time))]:
+        return [run]
+    ends = [(float(run.time[b]), float(run.time[e - 1] - run.time[b])) for b, e in long]
+    return [replace(_part(run, *end), name=f"{run.name}_{k}") for k, end in enumerate(ends, 1)]
 
 
 def _stirs(run: Run) -> float:

@@ -12,6 +12,7 @@ import pytest
 from realsim.core.errors import GapError
 from realsim.gap import DiagnoseConfig, diagnose, load_case
 from realsim.gap.experiments.plan import Planned, planned_case, rig_of
+from realsim.gap.pipeline import aloft, limited
 from realsim.gap.simulation.simulate import Simulator
 
 CRAZYFLIE = Path(os.environ.get("REALSIM_SHARED", "../shared")) / "cases" / "logs" / "cf_W3_M3"
@@ -53,6 +54,22 @@ def test_a_drone_on_the_floor_is_refused(tmp_path: Path) -> None:
     case = case_in(tmp_path / "case", command=np.zeros((200, 1)), base_pos=lying)
     with pytest.raises(GapError, match=r"nothing|constant|more noise than motion"):
         diagnose(load_case(case), DiagnoseConfig(threads=1, report=False))
+
+
+def test_a_log_is_read_where_the_drone_is_in_the_air(tmp_path: Path) -> None:
+    """It waits on the ground, flies up, lands, and flies again."""
+    time = np.arange(0, 9, 0.01)
+    height = np.interp(time, [1, 2, 3.5, 4.5, 5.5, 6.5, 8, 9], [0, 1, 1, 0, 0, 1, 1, 0])
+    pose = {"base_pos": np.stack([0 * time, 0 * time, height], axis=1), "base_quat": np.tile([1.0, 0, 0, 0], (900, 1))}
+    flies = ((time > 0.95) & (time < 4.5)) | (time > 5.45)
+    command = np.where(flies, 0.2943 + 0.01 * np.sin(6 * time), 0.001)[:, None]
+    case = load_case(case_in(tmp_path / "case", time=time, command=command, **pose))
+    cut = limited(case, DiagnoseConfig(threads=1))
+    assert [r.name for r in cut.runs] == ["flight_1", "flight_2"]
+    assert [(r.time[0], round(float(r.time[-1]), 1)) for r in cut.runs] == [(0.0, pytest.approx(3.8, abs=0.3))] * 2
+    assert all(r.command.min() > 0.2 for r in cut.runs)
+    steady = case.runs[0].where((time > 2) & (time < 3))
+    assert aloft(case, steady) == [steady]
 
 
 def test_joints_of_the_model_are_not_left_out_silently(tmp_path: Path) -> None:
