@@ -7,8 +7,8 @@ from pathlib import Path
 from realsim.core.errors import CaptureError
 from realsim.core.registry import Registry
 from realsim.core.types import FrameSet, Pointmaps, Solution
+from realsim.feedforward.backend import Kept
 from realsim.feedforward.config import PointsConfig
-from realsim.feedforward.kept import Kept
 
 BACKENDS = Registry(
     "backend",

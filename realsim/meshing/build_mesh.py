@@ -10,8 +10,7 @@ from realsim.meshing.clean import canonical, tidy, uncrossed
 from realsim.meshing.config import METHODS, MeshConfig
 from realsim.meshing.decimate import decimate
 from realsim.meshing.evidence import Evidence, gather
-from realsim.meshing.quality import check
-from realsim.meshing.residuals import residuals
+from realsim.meshing.quality import check, residuals
 from realsim.meshing.scan import surface_of_scan
 from realsim.meshing.solids import inferred_tops, invent
 from realsim.meshing.surface import Surface, colored_from, drop_islands

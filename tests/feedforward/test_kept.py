@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from realsim.core.types import PointView
-from realsim.feedforward.kept import Kept
+from realsim.feedforward.backend import Kept
 
 SIZE = 4 * 5 * (12 + 4 + 1 + 3)
 

@@ -19,8 +19,8 @@ from realsim.core.geometry import exp_so3, invert_T, make_T
 from realsim.core.types import Frame, Intrinsics
 from realsim.feedforward.onnx.adapters import Prediction
 from realsim.feedforward.onnx.adapters.mono import shift_and_focal
+from realsim.feedforward.onnx.consistency import believed, edges
 from realsim.feedforward.onnx.inputs import Inputs
-from realsim.feedforward.onnx.masks import believed, edges
 from realsim.feedforward.onnx.place import place_windows, windows
 from realsim.feedforward.onnx.preprocess import grid_to_depth, make_grid, to_tensor
 from realsim.feedforward.onnx.session import open_model

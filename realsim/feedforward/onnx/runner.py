@@ -16,9 +16,8 @@ from realsim.core.progress import note
 from realsim.core.types import F32, F64, Bool, Frame
 from realsim.feedforward.config import OnnxConfig
 from realsim.feedforward.onnx.adapters import ADAPTERS, Prediction
-from realsim.feedforward.onnx.consistency import agreement, connected
+from realsim.feedforward.onnx.consistency import agreement, believed, connected
 from realsim.feedforward.onnx.inputs import Inputs
-from realsim.feedforward.onnx.masks import believed
 from realsim.feedforward.onnx.place import Placed, place_pairs, place_single, place_windows
 from realsim.feedforward.onnx.preprocess import Grid, camera_matrices
 from realsim.feedforward.onnx.session import Model, OutOfMemory

@@ -26,16 +26,16 @@ from realsim.feedforward.rgbd.matching import (
 )
 from realsim.feedforward.rgbd.overlap import FINE
 from realsim.feedforward.rgbd.pose_graph import Edge, optimise
-from realsim.feedforward.rgbd.refine import adjust, match_and_adjust
-from realsim.feedforward.rgbd.refine_pairs import choose_pairs
+from realsim.feedforward.rgbd.refine import adjust_to_features, match_and_adjust
+from realsim.feedforward.rgbd.refine_pairs import choose_overlapping
 
 WORTH_TELLING = 3
 """Frames from which a piece that is left out is named as one."""
 SUSPICIOUS = 20
 """From this many features that match although the depth contradicts them, a dropped frame's reason mentions them."""
-SHAPE_NEIGHBOURS = 3
-"""Others, beside its neighbours in the sequence, that each frame is registered with by shape after the first solution:
-a pair costs ten times as much as by features."""
+SHAPE_NEIGHBOURS = 5
+"""Others that each frame is registered with by shape after the first solution: a pair costs ten times as much as by
+features."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ def _estimate_together(views: Sequence[View], seed: int, learned: bool) -> tuple
     landmarks = None
     if net.matches:
         if first:
-            T = adjust(chosen, T, build_tracks(chosen, first), seed=seed)[0].state.T
+            T = adjust_to_features(T, build_tracks(chosen, first), seed)[0].state.T
         kept = [m for m in first if (int(used[m.i]), int(used[m.j])) in net.learned]
         landmarks, more = match_and_adjust(chosen, T, kept, seed)
         if landmarks is not None:
@@ -170,7 +170,7 @@ def close_loops(views: Sequence[View], T: F64, edges: list[Edge]) -> tuple[F64, 
     """Register all overlapping pairs by shape, starting from poses that are nearly right, and optimise; twice."""
     for _ in range(2):
         known = {(e.i, e.j): e for e in edges}
-        for i, j in track(choose_pairs(views, T, SHAPE_NEIGHBOURS), "loops"):
+        for i, j in track(choose_overlapping(views, T, SHAPE_NEIGHBOURS), "loops"):
             edge = register_by_shape(views, i, j, [invert_T(T[i]) @ T[j]], FINE)
             if edge is not None and ((i, j) not in known or edge.weight >= known[i, j].weight):
                 known[i, j] = edge

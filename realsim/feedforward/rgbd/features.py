@@ -300,6 +300,12 @@ class Tracks:
     feature: NDArray[np.int64]
     """(M,) which feature of its view."""
 
+    def where(self, keep: Bool) -> Tracks:
+        """Those observations (M,) only, of the points that they leave."""
+        left, point = np.unique(self.point[keep], return_inverse=True)
+        view, feature = self.view[keep], self.feature[keep]
+        return Tracks(view, point, self.xy[keep], self.z[keep], self.focal[keep], len(left), feature)
+
     def of_features(self, views: Sequence[View]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """The point of every feature of the views that were tracked, -1 where it has none, all views in one row,
         and where each view begins in it (N,)."""

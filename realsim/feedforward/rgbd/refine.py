@@ -24,22 +24,24 @@ from realsim.feedforward.rgbd.bias import GainEstimate, judge_gain
 from realsim.feedforward.rgbd.features import Evidence, Match, Tracks, View, build_tracks
 from realsim.feedforward.rgbd.heldout import hold_out
 from realsim.feedforward.rgbd.keyframes import choose_by_poses
-from realsim.feedforward.rgbd.localize import Landmarks, localize
+from realsim.feedforward.rgbd.localize import SIGMA_INVERSE, SIGMA_PX, Landmarks, localize
 from realsim.feedforward.rgbd.loop_closure import keep_plausible
 from realsim.feedforward.rgbd.matching import match_guided
 from realsim.feedforward.rgbd.refine_adjust import Sigmas, State, Step, initial_state, solve_step
-from realsim.feedforward.rgbd.refine_pairs import Surface, associate, choose_pairs, sample_surface
+from realsim.feedforward.rgbd.refine_pairs import Surface, associate, choose_overlapping, choose_pairs, sample_surface
 
 STEPS = 12
 SAMPLES = 300
 """Surface points a view."""
 LOOSE = Sigmas(position=0.5, angle=0.2)
 """Prior on estimated poses: weak, so that it only fixes what the data leave free."""
-GUIDED = 8
-"""Others that each view is matched with anew where its pose is nearly known."""
+FEATURES = Sigmas(SIGMA_PX, SIGMA_INVERSE, position=0.5, angle=0.2)
+"""Of estimated poses and features alone, whose noise is known."""
+UNFIT = 5.0
+"""Standard deviations beyond which an observation takes no part in the second adjustment to features."""
 
 
-Trust = Literal["metric", "estimated"]
+Trust = Literal["metric", "estimated", "features"]
 
 
 @dataclass(frozen=True)
@@ -95,7 +97,8 @@ def refine(
         T_world_camera: (N, 4, 4) camera to world, OpenCV axes, metres.
         estimate_gain: also recover the depth gain. Needs `trust="metric"`.
         trust: `metric`: the poses come from a metric source with an unknown error; they give the scale.
-            `estimated`: the poses were found from the depth, so the depth gives the scale.
+            `estimated`: the poses were found from the depth, so the depth gives the scale (`features`: and so do
+            features alone).
         seed: of the choice of samples.
         evidence: `Evidence.of(frames)`, if it is there already (of exactly these frames).
         sensor_sigma: relative standard error of the depth sensor's own scale before anything was seen.
@@ -140,12 +143,11 @@ def match_and_adjust(
     Args:
         kept: matches of features that have no descriptor; they stay as they are.
     """
-    guided = (match_guided(views, i, j, invert_T(T[i]) @ T[j]) for i, j in choose_pairs(views, T, GUIDED))
+    guided = (match_guided(views, i, j, invert_T(T[i]) @ T[j]) for i, j in choose_overlapping(views, T))
     matches = [*filter(None, guided), *kept]
     if not matches:
         return None, {}
-    tracks = build_tracks(views, matches)
-    step, _, _ = adjust(views, T, tracks, seed=seed)
+    step, tracks = adjust_to_features(T, build_tracks(views, matches), seed)
     return Landmarks(views, step.state.T, tracks, step.state.X), {
         "matched_pairs": len(matches),
         "tracks": tracks.count,
@@ -153,6 +155,15 @@ def match_and_adjust(
         "median_px": float(np.median(np.hypot(*step.track_residual[:, :2].T))),
         "median_inverse_depth": float(np.median(np.abs(step.track_residual[:, 2]))),
     }
+
+
+def adjust_to_features(T: F64, tracks: Tracks, seed: int = 0) -> tuple[Step, Tracks]:
+    """The last step of the adjustment of estimated poses to features with depth, done twice: the second time without
+    the observations that the first did not fit. And the tracks that are left."""
+    step, _, _ = adjust((), T, tracks, trust="features", seed=seed)
+    x, y, depth = np.abs(step.track_residual.T) / ([FEATURES.image], [FEATURES.image], [FEATURES.depth])
+    tracks = tracks.where((np.hypot(x, y) < UNFIT) & (depth < UNFIT))
+    return adjust((), step.state.T, tracks, trust="features", seed=seed)[0], tracks
 
 
 def _checked(frames: Sequence[Frame], T: F64) -> F64:
@@ -172,7 +183,7 @@ def adjust(
     pairs: Sequence[tuple[int, int]] = (),
     *,
     estimate_gain: bool = False,
-    trust: Trust = "estimated",
+    trust: Trust,
     seed: int = 0,
 ) -> tuple[Step, Surface, State]:
     """The last step of the adjustment of poses (N, 4, 4) to tracks and to the surfaces of `pairs`, what surface it
@@ -183,13 +194,21 @@ def adjust(
     rng = np.random.default_rng(seed)
     samples = [sample_surface(view, rng, SAMPLES) for view in views] if pairs else []
     state = given = initial_state(T, tracks)
-    sigmas = Sigmas() if trust == "metric" else LOOSE
+    sigmas = {"metric": Sigmas(), "estimated": LOOSE, "features": FEATURES}[trust]
     for k in range(STEPS):
         surface = associate(views, samples, state.T, state.gain, pairs, gate=max(0.02, 0.08 * 0.6**k))
         # The first steps only bring the residuals down to noise; what they say about the poses' error is not yet true.
         fit_prior = trust == "metric" and k >= 2
         step = solve_step(
-            state, given, tracks, surface, sigmas, estimate_gain=estimate_gain, fit_prior=fit_prior, seed=seed
+            state,
+            given,
+            tracks,
+            surface,
+            sigmas,
+            estimate_gain=estimate_gain,
+            fit_prior=fit_prior,
+            seed=seed,
+            fit_sigmas=trust != "features",
         )
         done = k >= 6 and step.move < 5e-5 and abs(step.state.log_gain - state.log_gain) < 2e-5
         state, sigmas = step.state, step.sigmas

@@ -122,8 +122,13 @@ def solve_step(
     estimate_gain: bool,
     fit_prior: bool,
     seed: int,
+    fit_sigmas: bool = True,
 ) -> Step:
-    """One Gauss-Newton step, then the variance components at the linearised solution."""
+    """One Gauss-Newton step, then the variance components at the linearised solution.
+
+    Without `fit_sigmas` the standard deviations stay as they are, and features get Cauchy's weights instead: half at
+    two deviations. Poses that were only estimated have more false matches than a t distribution forgives.
+    """
     n, M = len(state.R), len(tracks.z)
     width = 6 * n + 1
     J_t, r_t = _track_rows(state, tracks, width)
@@ -133,8 +138,11 @@ def solve_step(
     # The two image coordinates and the depth of one observation are outliers separately: a feature may be right where
     # its depth is not.
     e2 = r_t.reshape(M, 3) / (sigmas.image, sigmas.image, sigmas.depth)
-    image_w = 5.0 / (4.0 + 0.5 * (e2[:, 0] ** 2 + e2[:, 1] ** 2))
-    w_t = np.column_stack([image_w, image_w, student(e2[:, 2], 1.0)]).ravel()
+    square = e2[:, 0] ** 2 + e2[:, 1] ** 2
+    image_w, depth_w = 5.0 / (4.0 + 0.5 * square), student(e2[:, 2], 1.0)
+    if not fit_sigmas:
+        image_w, depth_w = 4 / (4 + square), 4 / (4 + e2[:, 2] ** 2)
+    w_t = np.column_stack([image_w, image_w, depth_w]).ravel()
     w_s = student(r_s, sigmas.surface)
     J, r = vstack([J_t, J_s], format="csr"), np.concatenate([r_t, r_s])
     weight = np.concatenate([w_t / sigma_t**2, w_s / sigmas.surface**2 / SURFACE_CORRELATION])
@@ -156,7 +164,7 @@ def solve_step(
     blocks = J_t[:, width:].tobsr((3, 3)).data if M else np.zeros((0, 3, 3))
     inverse = normal.inner_inverse[tracks.point]
     leverage = np.einsum("mka,mab,mkb->mk", blocks, inverse, blocks) * weight[: 3 * M].reshape(M, 3)
-    new = _components(sigmas, r_t1, w_t.reshape(M, 3), leverage, r_s1, w_s)
+    new = _components(sigmas, r_t1, w_t.reshape(M, 3), leverage, r_s1, w_s) if fit_sigmas else sigmas
     if fit_prior:
         new = _prior_components(new, sigmas, r_p + x[: width - 1], normal, seed)
     return Step(

@@ -8,9 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from realsim.core.geometry import invert_T
 from realsim.core.types import F64
 from realsim.feedforward.rgbd.features import View
+from realsim.feedforward.rgbd.matching import MIN_AGREEMENT
+from realsim.feedforward.rgbd.overlap import overlap
 
+NEIGHBOURS = 8
+"""After the first solution each frame is matched again with this many that share the most surface with it."""
 MOST_COMPARED = 64
 """In a dense capture each view is compared with this many that may see the same, evenly over the sequence."""
 
@@ -38,6 +43,25 @@ def choose_pairs(views: Sequence[View], T_world_camera: F64, per_frame: int = 6)
         good = near[seen > 0.3][np.argsort(-seen[seen > 0.3], kind="stable")]
         for j in good[np.unique(np.linspace(0, len(good) - 1, per_frame).round().astype(int))] if len(good) else ():
             pairs.add((min(i, int(j)), max(i, int(j))))
+    return sorted(pairs)
+
+
+def choose_overlapping(views: Sequence[View], T: F64, count: int = NEIGHBOURS) -> list[tuple[int, int]]:
+    """Pairs i < j for matching under guidance: for every view `count` of those that share most surface with it at
+    estimated poses. With `choose_pairs` positions were 1.2 to 1.6 times as far off on two rendered captures of three.
+
+    Near centres and like directions come first, so that the cost stays linear in the number of views.
+    """
+    from scipy.spatial import cKDTree
+
+    place = np.concatenate([T[:, :3, 3] + 1.5 * T[:, :3, 2], 0.5 * T[:, :3, 3]], 1)
+    _, near = cKDTree(place).query(place, k=min(len(views), 3 * count + 1))
+    pairs = set()
+    for i, row in enumerate(near):
+        fits = [(overlap(views[i], views[j], invert_T(T[i]) @ T[j], 6), int(j)) for j in row if j != i]
+        good = sorted(((-f.fraction, j) for f, j in fits if f.fraction > 0.1 and f.agreement > 0.5 * MIN_AGREEMENT))
+        # Every other one of the ranking: the nearest views add little that the next do not.
+        pairs |= {(min(i, j), max(i, j)) for _, j in [*good[:2], *good[2 : 2 * count - 2 : 2]]}
     return sorted(pairs)
 
 

@@ -6,7 +6,7 @@ from realsim.feedforward.onnx.adapters.base import Adapter, Call, Prediction
 ADAPTERS = Registry(
     "kind of model",
     {
-        "pair": "realsim.feedforward.onnx.adapters.pair:ADAPTER",
+        "pair": "realsim.feedforward.onnx.adapters.posed:PAIR",
         "pointmap": "realsim.feedforward.onnx.adapters.posed:POINTMAP",
         "depth": "realsim.feedforward.onnx.adapters.posed:DEPTH",
         "world": "realsim.feedforward.onnx.adapters.posed:WORLD",

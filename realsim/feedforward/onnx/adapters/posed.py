@@ -1,5 +1,5 @@
-"""Models of many views that give poses: points in each camera (Pi3, MapAnything), depth (Depth Anything 3, VGGT's depth
-head), points in one world (VGGT's point head)."""
+"""Models of several views: points in each camera (Pi3, MapAnything), depth (Depth Anything 3, VGGT's depth head),
+points in one world (VGGT's point head); and of two, both in the first camera's frame (DUSt3R, MASt3R)."""
 
 from __future__ import annotations
 
@@ -21,6 +21,9 @@ from realsim.feedforward.onnx.adapters.base import (
     as_rows,
     encoded_intrinsics,
     posed,
+    read_claim,
+    read_conf,
+    read_mask,
     read_poses,
     unproject,
 )
@@ -62,6 +65,18 @@ def from_world(found: Mapping[str, NDArray], call: Call) -> Prediction:
     return posed(points, T, found, call)
 
 
+def from_pair(found: Mapping[str, NDArray], call: Call) -> Prediction:
+    """Two views whose "local" points are both in the first camera's frame; poses are the identity by definition, and
+    `onnx.place.place_pairs` joins the pairs."""
+    one = replace(call, n=1, ran=1)
+    points = np.concatenate([as_maps(r, found[r], one, 3) for r in ("points", "other_points")])
+    conf = np.concatenate([read_conf(found, one, r) for r in ("conf", "other_conf")])
+    # Seen from the first camera, what the second one sees may well lie behind.
+    finite = np.isfinite(points).all(-1)
+    mask = np.stack([read_mask({}, one, points[:1])[0], finite[1]])
+    return Prediction(points, np.tile(np.eye(4), (2, 1, 1)), conf, mask, read_claim(found))
+
+
 POINTMAP = Adapter(
     needs={"local_points": ("local_points", "pts3d_cam", "points_cam"), "pose": POSE_NAMES},
     takes={"conf": CONF_NAMES, "world_points": ("points", "pts3d", "world_points"), **MASK},
@@ -76,4 +91,16 @@ WORLD = Adapter(
     needs={"world_points": ("world_points", "points", "pts3d"), "pose": POSE_NAMES},
     takes={"conf": ("world_points_conf", *CONF_NAMES), **MASK},
     unpack=from_world,
+)
+PAIR = Adapter(
+    needs={
+        "points": ("pts3d", "pts3d_1", "points"),
+        "other_points": ("pts3d_in_other_view", "pts3d_2"),
+    },
+    takes={
+        "conf": ("conf", "conf_1", "conf1"),
+        "other_conf": ("conf_in_other_view", "conf_2", "conf2"),
+        "metric_scale": ("metric_scale",),
+    },
+    unpack=from_pair,
 )
