@@ -76,7 +76,10 @@ def finish(raw: FrameSet, config: CaptureConfig) -> Finished:
     _some_left(capture)
 
     unit_note = check_unit(capture.frames, looks, capture.source)
-    capture, looks = _without(capture, looks, _empty(looks, config))
+    reason = f"valid depth between {config.min_depth:g} and {config.max_depth:g} m"
+    hollow = [look for look in looks if look.valid_share < LEAST_COVERAGE]
+    empty = [Dropped(look.name, f"{'hardly any' if look.valid_share else 'no'} {reason}") for look in hollow]
+    capture, looks = _without(capture, looks, empty)
     _some_left(capture)
     capture, looks = _without(capture, looks, duplicates(looks))
     if not config.keep_blurred:
@@ -125,15 +128,6 @@ def _odd_cameras(frames: Sequence[Frame]) -> list[str]:
     middle = np.median(values, axis=0)
     off = np.abs(values - middle) / np.array([*middle[:2], 1.0, 1.0])
     return [f.name for f, row in zip(frames, off, strict=True) if row.max() > ODD_CAMERA]
-
-
-def _empty(looks: Sequence[Look], config: CaptureConfig) -> list[Dropped]:
-    limits = f"between {config.min_depth:g} and {config.max_depth:g} m"
-    return [
-        Dropped(look.name, f"{'hardly any' if look.valid_share else 'no'} valid depth {limits}")
-        for look in looks
-        if look.valid_share < LEAST_COVERAGE
-    ]
 
 
 def _without(capture: FrameSet, looks: Sequence[Look], dropped: Sequence[Dropped]) -> tuple[FrameSet, list[Look]]:

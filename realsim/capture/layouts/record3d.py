@@ -204,10 +204,12 @@ def read_metadata(data: Any, source: Path, config: CaptureConfig) -> Metadata:
     size = (camera.width, camera.height)
     poses = None if config.ignore_poses else _table(data, "poses", 7, source)
     times = _table(data, "frameTimestamps", 1, source)
+    width, height = data.get("dw"), data.get("dh")
+    known = isinstance(width, int) and isinstance(height, int) and width > 0 and height > 0
     return Metadata(
         source,
         size,
-        _depth_size(data),
+        (width, height) if known else None,
         camera.sized(size),
         _table(data, "perFrameIntrinsicCoeffs", 4, source),
         poses,
@@ -250,13 +252,6 @@ def _table(data: Mapping[str, Any], key: str, columns: int, source: Path) -> F64
         kind = PoseError if key == "poses" else CaptureError
         raise kind(f"{key} of the wrong length", file=source, expected=f"{columns} a frame", found=f"{table.shape[1]}")
     return table
-
-
-def _depth_size(data: Mapping[str, Any]) -> tuple[int, int] | None:
-    width, height = data.get("dw"), data.get("dh")
-    if isinstance(width, int) and isinstance(height, int) and width > 0 and height > 0:
-        return width, height
-    return None
 
 
 def _known_size(source: Path, numbers: Sequence[int], color_size: tuple[int, int]) -> tuple[int, int]:

@@ -175,11 +175,13 @@ def _chosen(bag: Bag, found: Found, camera: str) -> tuple[str, str | None]:
     usable = [t for t in depths if info_beside(t, found.cameras) is not None]
     if not usable:
         what = "camera_info of the depth" if depths else "depth images"
+        # All topics, and why some were not decoded.
+        lines = [f"{t} ({bag.failures.get(t, kind)})" for t, kind in list(bag.topics.items())[:24]]
         raise CaptureError(
             f"the recording has no {what}",
             file=bag.path,
             expected="depth (16UC1 or 32FC1, or compressedDepth), its camera_info beside it, colour, tf for poses",
-            found=_listed(bag) or "no topics",
+            found="; ".join(lines + bag.notes[:2]) or "no topics",
             hint=f"--camera {camera!r} leaves out the others" if camera else None,
         )
     cameras = sorted({camera_name(t) for t in usable})
@@ -199,12 +201,6 @@ def _chosen(bag: Bag, found: Found, camera: str) -> tuple[str, str | None]:
 def _is_color(topic: str, kind: str) -> bool:
     codec = kind in ("jpeg", "jpg", "png") or any(kind.startswith(e) for e in COLORS)
     return codec and "depth" not in topic and "infra" not in topic
-
-
-def _listed(bag: Bag) -> str:
-    """All topics, and why some were not decoded."""
-    lines = [f"{t} ({bag.failures.get(t, kind)})" for t, kind in list(bag.topics.items())[:24]]
-    return "; ".join(lines + bag.notes[:2])
 
 
 def _unpack(
@@ -249,7 +245,8 @@ def _unpack(
                 suffix, data = packed_depth(image)
                 write_bytes(work / f"depth/{name}{suffix}", data)
                 if way is not None:
-                    waiting[index] = _metres(image)
+                    values = image.astype(float) * (1.0 if image.dtype == np.float32 else 1e-3)
+                    waiting[index] = np.where(np.isfinite(values), values, 0.0)
                 row = rows.setdefault(index, {"name": name, "time": times[index], "color": None, "depth": None})
                 row["depth"] = f"depth/{name}{suffix}"
             else:
@@ -287,11 +284,6 @@ def _finish_color(row: dict[str, Any], waiting: dict[int, np.ndarray], at: int, 
     done, data = cv2.imencode(".png", image[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 1])
     assert done
     write_bytes(work / row["color"], data.tobytes())
-
-
-def _metres(image: np.ndarray) -> F64:
-    values = image.astype(float) * (1.0 if image.dtype == np.float32 else 1e-3)
-    return np.where(np.isfinite(values), values, 0.0)
 
 
 def _believed(found: Found, topics: list[str], warnings: list[str]) -> bool:

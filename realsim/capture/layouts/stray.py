@@ -31,7 +31,7 @@ from realsim.capture.listing import lacking, last_number, list_files, pose_file
 from realsim.capture.video import VideoFrame, open_video
 from realsim.core.errors import CaptureError, PoseError
 from realsim.core.files import read_text
-from realsim.core.types import F64, Dropped, Frame, FrameSet, Intrinsics
+from realsim.core.types import Dropped, Frame, FrameSet
 
 VIDEO, ODOMETRY, CAMERA = "rgb.mp4", "odometry.csv", "camera_matrix.csv"
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
@@ -100,10 +100,15 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
         row = table.get(number)
         if number >= video.count:
             raise CaptureError(f"the video ends before this frame: it has {video.count}")
-        of_depth, of_color = on_two_grids(_camera(row, camera, video.size), depth_size)
+        own = row.numbers(OWN_CAMERA) if row else None
+        its = camera if own is None else Camera(own[0], own[1], own[2], own[3], None, None, camera.source)
+        of_depth, of_color = on_two_grids(its.sized(video.size), depth_size)
+        pose = row.numbers(POSE) if row and posed else None
+        if posed and pose is None:
+            raise PoseError("there is no pose for this frame")
         time = row.numbers(("timestamp",)) if row else None
         sure_of = ConfidenceImage(sure[number], BEST_CONFIDENCE) if number in sure else None
-        view = View(of_depth, of_color, _pose(row) if posed else None, time[0] if time else None, sure_of)
+        view = View(of_depth, of_color, None if pose is None else pose_xyzw(pose), time[0] if time else None, sure_of)
         image = DepthImage(depth[number], unit.integer, unit.floating)
         return view.frame(f"{number:06d}", image, VideoFrame(video.path, number), (video.path, depth[number]))
 
@@ -157,20 +162,6 @@ def read_odometry(path: Path) -> dict[int, Row]:
             raise PoseError(f"row {place + 1} has no frame number", file=path, found=word)
         rows.setdefault(int(word), Row(int(word), values))
     return rows
-
-
-def _camera(row: Row | None, camera: Camera, size: tuple[int, int]) -> Intrinsics:
-    own = row.numbers(OWN_CAMERA) if row else None
-    if own is None:
-        return camera.sized(size)
-    return Camera(own[0], own[1], own[2], own[3], None, None, camera.source).sized(size)
-
-
-def _pose(row: Row | None) -> F64:
-    numbers = row.numbers(POSE) if row else None
-    if numbers is None:
-        raise PoseError("there is no pose for this frame")
-    return pose_xyzw(numbers)
 
 
 LAYOUT = Layout("stray", "rgb.mp4, depth/, odometry.csv and camera_matrix.csv of Stray Scanner", recognise, read, PHONE)
