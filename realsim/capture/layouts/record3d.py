@@ -204,12 +204,14 @@ def read_metadata(data: Any, source: Path, config: CaptureConfig) -> Metadata:
     size = (camera.width, camera.height)
     poses = None if config.ignore_poses else _table(data, "poses", 7, source)
     times = _table(data, "frameTimestamps", 1, source)
-    width, height = data.get("dw"), data.get("dh")
-    known = isinstance(width, int) and isinstance(height, int) and width > 0 and height > 0
+    depth_size = None
+    match data.get("dw"), data.get("dh"):
+        case (int(width), int(height)) if width > 0 and height > 0:
+            depth_size = (width, height)
     return Metadata(
         source,
         size,
-        (width, height) if known else None,
+        depth_size,
         camera.sized(size),
         _table(data, "perFrameIntrinsicCoeffs", 4, source),
         poses,
