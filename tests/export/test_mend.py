@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -57,6 +58,14 @@ def test_an_stl_that_was_cut_off_is_no_point_cloud(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes()[:900])
     with pytest.raises(ExportError, match="cut off"):
         read_mesh(path)
+
+
+def test_more_triangles_than_memory_holds_are_refused_with_a_way_out(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(sys.modules["realsim.export.mend"], "MAX_TRIANGLES", 50)
+    with pytest.raises(ExportError, match="too many triangles") as refused:
+        read_mesh(stl(tmp_path / "a.stl"))
+    assert "at most 50" in str(refused.value)
+    assert "decimate" in str(refused.value)
 
 
 def test_triangles_on_one_line_are_no_mesh() -> None:
