@@ -201,13 +201,21 @@ def convex_parts(rings: list[F64], tolerance: float) -> list[F64]:
 
 
 def hull(points: F64) -> F64:
-    """(M, 2) convex hull, counter-clockwise; (0, 2) of points on one line."""
-    from scipy.spatial import ConvexHull, QhullError
-
-    try:
-        return np.asarray(points[ConvexHull(points).vertices])
-    except (QhullError, ValueError):
-        return np.zeros((0, 2))
+    """(M, 2) convex hull, counter-clockwise; (0, 2) of points on one line (Andrew 1979; of the few points of an outline
+    much faster than Qhull)."""
+    along = points[np.lexsort(points.T[::-1])].tolist()
+    chain: list[list[float]] = []
+    for way in (along, along[::-1]):
+        start = len(chain)
+        for p in way:
+            while len(chain) > start + 1:
+                (ax, ay), (bx, by) = chain[-2:]
+                if (bx - ax) * (p[1] - ay) - (by - ay) * (p[0] - ax) > 1e-12:
+                    break
+                chain.pop()
+            chain.append(p)
+        chain.pop()
+    return np.array(chain) if len(chain) > 2 else np.zeros((0, 2))
 
 
 def _union(one: set[Edge], two: set[Edge]) -> set[Edge]:

@@ -47,10 +47,7 @@ class Polytope:
     @staticmethod
     def around(*points: F64) -> Polytope:
         """The same of several arrays of points, with the corners of the hull alone."""
-        from scipy.spatial import ConvexHull
-
-        every = np.concatenate(points)
-        return Polytope.of_points("", every[ConvexHull(every - every.mean(0)).vertices])
+        return Polytope.of_points("", corners_of(*points))
 
     @cached_property
     def lower(self) -> F64:
@@ -157,6 +154,14 @@ class Face:
     def lifted(self, flat: F64, beyond: float = 0.0) -> F64:
         """(N, 3) of points (N, 2) in its plane, `beyond` metres outside."""
         return np.asarray(flat @ self.axes + (beyond - self.offset) * self.normal)
+
+
+def corners_of(*points: F64) -> F64:
+    """(M, 3) corners of the hull of several arrays of points."""
+    from scipy.spatial import ConvexHull
+
+    every = np.concatenate(points)
+    return np.asarray(every[ConvexHull(every - every.mean(0)).vertices])
 
 
 def _as_box(name: str, points: F64) -> Geom | None:
