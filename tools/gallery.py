@@ -29,10 +29,10 @@ MOST_BYTES = 700_000
 
 def scene(work: Path) -> Path:
     """A rendered walk along a course of stakes; the surface is coarse, so that the page is small."""
-    write_capture(work / "stakes", SynthConfig("stakes", frames=24, width=480, poses=True))
+    write_capture(work / "stakes", SynthConfig("stakes", frames=30, width=320, poses=True))
     config = rs.ReconstructConfig(
         align=AlignConfig(margin=0.4),
-        mesh=MeshConfig(resolution=0.015, max_triangles=20_000, residual_views=3),
+        mesh=MeshConfig(resolution=0.02, max_triangles=20_000, residual_views=3),
         scene=rs.SceneConfig(robot="g1"),
     )
     return rs.reconstruct(work / "stakes" / "capture", work / "scene", config).folder

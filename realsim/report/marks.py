@@ -8,13 +8,16 @@ from typing import Any
 
 import numpy as np
 
+from realsim.core.meshes import merged
 from realsim.core.types import F64, Reconstruction, platform_names
+from realsim.report.solids import rod
 from realsim.report.verdict import Judgement
 from realsim.report.viewer3d import Layer
 
 INK = (214, 40, 40)
 HEIGHT = 0.4
-"""Metres of the post at a place."""
+"""Metres of the post at a place; a line would be one pixel thin."""
+RADIUS = 0.012
 
 
 @dataclass(frozen=True)
@@ -51,6 +54,5 @@ def marks_layer(marks: Sequence[Mark]) -> list[Layer]:
     """A post at each place; no layer without any."""
     if not marks:
         return []
-    feet = np.array([m.at for m in marks])
-    ends = np.stack([feet, feet + np.array([0, 0, HEIGHT])], axis=1).reshape(-1, 3)
-    return [Layer("decides", ends, np.arange(len(ends)).reshape(-1, 2), INK, kind="lines")]
+    posts = [rod(m.at, m.at + np.array([0, 0, HEIGHT]), RADIUS) for m in marks]
+    return [Layer("what decides", *merged(posts), INK)]

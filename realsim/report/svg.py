@@ -192,11 +192,16 @@ class Axes:
         self, x: float, y: float, text: str, *, fill: str = "var(--soft)", anchor: str = "middle",
         dx: float = 0, dy: float = 0, halo: bool = False, outside: bool = False,
     ) -> Axes:  # fmt: skip
-        """Text at a data point, shifted by (dx, dy) picture units; `halo` keeps it readable over a picture."""
+        """Text at a data point, shifted by (dx, dy) picture units; `halo`: readable over a picture and inside it."""
+        at, down = self.px(x) + dx, self.py(y) + dy
+        if halo:
+            wide = 6.6 * len(text)  # of bold letters, 11 units high
+            before = {"start": 0.0, "middle": wide / 2, "end": wide}[anchor]
+            at = max(min(at, self.box[2] - wide + before), self.box[0] + before)
+            down = max(min(down, self.box[3] - 3), self.box[1] + 10)
         css = ' class="halo"' if halo else ""
         (self._outside if outside else self._marks).append(
-            f'<text x="{self.px(x) + dx:.1f}" y="{self.py(y) + dy:.1f}" text-anchor="{anchor}"'
-            f' style="fill:{fill}"{css}>{escape(text)}</text>'
+            f'<text x="{at:.1f}" y="{down:.1f}" text-anchor="{anchor}" style="fill:{fill}"{css}>{escape(text)}</text>'
         )
         return self
 

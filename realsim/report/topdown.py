@@ -106,7 +106,8 @@ def _map(
     for p in aligned.platforms:
         if p.role in ("start", "goal"):
             x, y = p.centroid[:2] @ turn
-            below = 0.16 if p.role == "start" else 0.0  # the axes stand on the start platform
+            # The axes stand on the start platform, and some marks on a platform's middle.
+            below = 0.16 if p.role == "start" or any(np.allclose(m.at, p.centroid) for m in marks) else 0.0
             axes.text(x, y - below, p.role, dy=5, fill="var(--ink)", halo=True)
     mark(axes, marks, turn)
     return axes.svg("height map from above")
