@@ -112,7 +112,7 @@ def test_the_picture_is_of_the_scene_or_its_lack_is_explained(tmp_path: Path, mo
     result = reconstruction(tmp_path)
     write_report(tmp_path, result)
     text = (tmp_path / "report.html").read_text()
-    assert ("image/jpeg" in text.split("In MuJoCo")[1][:400]) or "cannot draw" in text
+    assert ("image/webp" in text.split("In MuJoCo")[1][:400]) or "cannot draw" in text
     monkeypatch.setenv("MUJOCO_GL", "none of these")
     with pytest.raises(RealsimError, match="cannot draw"):
         draw(tmp_path / "scene.xml", 64, 48)
