@@ -365,13 +365,12 @@ def refuse_within(out: Path, source: Path) -> None:
         )
 
 
-def place_folder(work: Path, target: Path, *, overwrite: bool = False, marks: Sequence[str] = MARKS) -> None:
+def place_folder(work: Path, target: Path, *, overwrite: bool = False) -> None:
     """Give a finished folder its name, in one step that cannot hide or remove what anybody else put there meanwhile.
 
     Args:
         work: the folder, on the same file system as `target`.
-        overwrite: whether a folder there that holds one of `marks` may be replaced.
-        marks: files of which every folder of ours holds one.
+        overwrite: whether a folder there that holds one of `MARKS` may be replaced.
 
     Raises:
         RealsimError: `target` is not empty, and not to be or not ours to be replaced. `work` is as it was.
@@ -383,7 +382,7 @@ def place_folder(work: Path, target: Path, *, overwrite: bool = False, marks: Se
         except OSError as error:
             if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
                 raise
-        refuse_existing(target, overwrite, marks)
+        refuse_existing(target, overwrite)
         old = Path(tempfile.mkdtemp(dir=target.parent, prefix=f".{target.name}.old-"))
         with contextlib.suppress(FileNotFoundError):
             os.rename(target, old / target.name)

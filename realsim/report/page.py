@@ -128,6 +128,12 @@ def thumbnails(items: Sequence[tuple[str, str, str]]) -> str:
     return f'<div class="thumbs">{cells}</div>'
 
 
+def legend(items: Sequence[tuple[str, str]]) -> str:
+    """Names, each beside its colour; nothing without any."""
+    rows = "".join(f'<span><i style="background:{fill}"></i>{esc(name)}</span>' for name, fill in items)
+    return f'<div class="legend">{rows}</div>' if rows else ""
+
+
 def fold(summary: str, body: str) -> str:
     """A part that is closed until it is asked for."""
     return f"<details><summary>{esc(summary)}</summary>{body}</details>"

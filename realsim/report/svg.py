@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from realsim.report.page import legend
 from realsim.report.raster import HEIGHT
 
 Range = tuple[float, float]
@@ -264,13 +265,7 @@ class Axes:
                 f'<text transform="translate(11 {(y0 + y1) / 2:.1f}) rotate(-90)" text-anchor="middle" class="axis">'
                 f"{escape(self.labels[1])}</text>"
             )
-        parts.append("</svg>")
-        if self._legend:
-            rows = "".join(
-                f'<span><i style="background:{fill}"></i>{escape(name)}</span>' for name, fill in self._legend
-            )
-            parts.append(f'<div class="legend">{rows}</div>')
-        return "".join(parts)
+        return "".join([*parts, "</svg>", legend(self._legend)])
 
 
 def _title(text: str) -> str:

@@ -11,7 +11,7 @@ from realsim.core.rays import heights
 from realsim.core.types import F64, U8, AlignedScene, TerrainMesh
 from realsim.report import raster, svg
 from realsim.report.marks import Mark
-from realsim.report.page import esc
+from realsim.report.page import esc, legend
 
 Extent = tuple[float, float, float, float]
 """x low, x high, y low, y high in metres."""
@@ -49,8 +49,8 @@ def map_from_above(
     long = extent[1] - extent[0] > 1.3 * (extent[3] - extent[2])
     narrow = _map(aligned, eyes, extent, picture[::2, ::2], marks, width=360, x_up=long)
     style = f' style="max-width:{broad:.0f}px;margin:0 auto"' if broad < 980 else ""
-    bar, legend = svg.color_bar(low, high, "m", label="height"), _legend(aligned, marks, unseen)
-    return f'<div class="broad"{style}>{wide}</div><div class="narrow">{narrow}</div>{bar}{legend}'
+    bar, keys = svg.color_bar(low, high, "m", label="height"), _legend(aligned, marks, unseen)
+    return f'<div class="broad"{style}>{wide}</div><div class="narrow">{narrow}</div>{bar}{keys}'
 
 
 def _legend(aligned: AlignedScene, marks: Sequence[Mark], unseen: bool) -> str:
@@ -65,10 +65,7 @@ def _legend(aligned: AlignedScene, marks: Sequence[Mark], unseen: bool) -> str:
         items.append(("no camera saw this", f"rgb{INVENTED}"))
     if marks:
         items.append(("what decides the verdict", "var(--bad)"))
-    rows = "".join(
-        f'<span><i style="background:{ink};outline:1px solid var(--line)"></i>{esc(t)}</span>' for t, ink in items
-    )
-    return f'<div class="legend">{rows}</div>' if rows else ""
+    return legend([(name, f"{ink};outline:1px solid var(--line)") for name, ink in items])
 
 
 def _map(

@@ -54,7 +54,7 @@ def _pick(shown: Shown) -> list[str]:
         for axis in known
     ]
     labels = "".join(f'<label for="x-{axis}">{axis}</label>' for axis in known)
-    colors = "" if shown.one else figures.legend([(r.name, i) for i, r in enumerate(shown.runs)])
+    colors = "" if shown.one else page.legend([(r.name, svg.color(i)) for i, r in enumerate(shown.runs)])
     return [*boxes, f'<nav class="pick">over {labels}{colors}</nav>']
 
 

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from realsim.report import page, svg
 from trainer.report.curves import WIDTH, said
 from trainer.report.evaluations import Evaluated
-from trainer.report.figures import Figure, Shown, families, legend, multiples
+from trainer.report.figures import Figure, Shown, families, multiples
 from trainer.report.history import LAST, Run
 
 CAUSES = ("ground", "tilt", "collapsed", "stuck", "timeout", "diverged")
@@ -86,7 +86,7 @@ def course_card(shown: Shown) -> str:
     for terrain in dict.fromkeys(e.terrain for _, e in evaluated):
         along += _along([(name, e) for name, e in evaluated if e.terrain == terrain])
     causes = _ordered(c for _, e in evaluated for c in e.reasons)
-    return page.card(title, multiples(along) + (_legend(causes) if causes else ""), note, wide=True)
+    return page.card(title, multiples(along) + _legend(causes), note, wide=True)
 
 
 def evaluation_table(shown: Shown) -> str:
@@ -163,4 +163,4 @@ def _fill(cause: str) -> str:
 
 
 def _legend(causes: Iterable[str]) -> str:
-    return legend([(c, _color(c)) for c in causes])
+    return page.legend([(c, _fill(c)) for c in causes])

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from realsim.report import page, svg
+from realsim.report import page
 from trainer.report import curves
 from trainer.report.curves import Curve, Scale
 from trainer.report.history import Run
@@ -194,12 +194,6 @@ def missing(figures: Sequence[Figure], shown: Shown) -> str:
         f"Not logged by all: {'; '.join(some)}." if some else "",
     ]
     return " ".join(filter(None, parts))
-
-
-def legend(items: Sequence[tuple[str, int]]) -> str:
-    """Names, each beside its colour."""
-    rows = "".join(f'<span><i style="background:{svg.color(c)}"></i>{page.esc(name)}</span>' for name, c in items)
-    return f'<div class="legend">{rows}</div>'
 
 
 def _term(name: str) -> str:

@@ -75,10 +75,8 @@ def _curves(case: Case, predicted: Predicted) -> str:
             found.append((size, run, c, changes, floor))
     found.sort(key=lambda f: -f[0])
     parts = [_pair(case, predicted, run, c, changes, floor) for _, run, c, changes, floor in found[:PLOTS]]
-    legend = "".join(
-        f'<span><i style="background:{svg.color(i)}"></i>{chr(65 + i)}</span>' for i in range(len(predicted.motions))
-    )
-    return f'<div {_TWO}>{"".join(parts)}</div><div class="legend">{legend}</div>'
+    legend = page.legend([(chr(65 + i), svg.color(i)) for i in range(len(predicted.motions))])
+    return f"<div {_TWO}>{''.join(parts)}</div>{legend}"
 
 
 def _pair(case: Case, predicted: Predicted, run: int, c: int, changes: Sequence[F64], floor: F64) -> str:

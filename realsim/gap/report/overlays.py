@@ -35,17 +35,16 @@ def overlays_card(found: Diagnosis) -> str:
     parts = [f"<div>{_overlay(kept, *window)}</div>" for window in worst_windows(kept)]
     keys = [("measured", _MEASURED), ("nominal simulator", _NOMINAL)]
     keys += [("with the diagnosis", _PATCHED)] if kept.after else []
-    legend = "".join(f'<span><i style="background:{c}"></i>{t}</span>' for t, c in keys)
-    said = "runs that no fit has seen" if found.shrinkage.get("unseen", True) else "the fitted runs"
+    runs = "runs that no fit has seen" if found.shrinkage.get("unseen", True) else "the fitted runs"
     note = (
-        f"Stretches of {said} where the nominal simulator is far from the robot; below each, measured minus simulated"
+        f"Stretches of {runs} where the nominal simulator is far from the robot; below each, measured minus simulated "
+        "(in the stripe: within twice the noise floor)."
     )
-    note += " (in the stripe: within twice the noise floor)."
     if found.health.get("start", {}).get("parts"):
         note += " Where a curve jumps, the simulator goes on from a state of the log."
     if kept.reason:
         note = f"{note} {kept.reason}"
-    body = f'<div {_ROW}>{"".join(parts)}</div><div class="legend">{legend}</div>'
+    body = f"<div {_ROW}>{''.join(parts)}</div>{page.legend(keys)}"
     return page.card("Before and after", body, note, wide=True)
 
 

@@ -138,13 +138,11 @@ def what_card(found: Diagnosis) -> str:
     picture = _labelled_bars(bars, (-0.1 * end, end), "", ticks)
     legend = [("in the diagnosis", FOUND)] if here else []
     legend += [("explains the log as well", RIVAL)] if same else []
-    keys = "".join(
-        f'<span><i style="background:{c}"></i>{page.esc(t)}</span>' for t, c in [*legend, ("other effects", OTHER)]
-    )
+    legend.append(("other effects", OTHER))
     how = "predicts runs left out of the fit" if left_out else "explains the fitted runs"
     note = f"How well each effect alone, fitted at its best place, {how}; 100 % is the best one."
     note += " Whiskers are 90 %." if left_out else ""
-    return page.card("What", f'{picture}<div class="legend">{keys}</div>', note)
+    return page.card("What", picture + page.legend(legend), note)
 
 
 def _relative(value: float) -> str:

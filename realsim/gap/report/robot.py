@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from itertools import combinations, product
 from typing import Any
 
 import numpy as np
@@ -9,7 +11,8 @@ import numpy as np
 from realsim.core.types import F64
 from realsim.gap.answer.arrays import Arrays
 from realsim.gap.answer.diagnosis import Diagnosis
-from realsim.gap.case.case import Case, Run
+from realsim.gap.case.case import Case
+from realsim.gap.case.motion import estimate
 from realsim.gap.effects.lookup import places_of
 from realsim.gap.report.series import place_shares
 from realsim.gap.report.words import HEAT, NOT_KEPT
@@ -25,19 +28,17 @@ def robot_card(found: Diagnosis) -> str:
     if found.evidence is None:
         return page.card("On the robot", page.bullets([], NOT_KEPT))
     case = found.evidence.case
-    data = first_pose(case.model, case.runs[0], case.joint_names)
+    data = first_pose(case)
     shares = body_shares(found.evidence)
     top = max(shares.max(), 1e-9)
     gap = found.verdict != "no_gap"
     colors = raster.colorize(shares[:, None] / top * gap, 0.0, 1.0, HEAT)[:, 0, :3]
-    parts, ground = [], []
-    for body, (V, F) in solids(case.model, data):
-        if case.model.body_weldid[body] == 0:
-            ground.append((V, F, np.tile(np.array(_GROUND, np.uint8), (len(V), 1))))
-        else:
-            parts.append((V, F, np.tile(colors[body], (len(V), 1))))
-    parts.append(_frame(parts))
-    layers = [_layer("robot", parts), *([_layer("ground", ground)] if ground else []), *_marks(found, case, data)]
+    shapes = [(b, V, F, case.model.body_weldid[b] == 0) for b, (V, F) in solids(case.model, data)]
+    layers = [Layer("robot", V, F, colors[body]) for body, V, F, fixed in shapes if not fixed]
+    if layers:
+        layers.append(_air(np.vstack([layer.vertices for layer in layers])))
+    layers += [Layer("ground", V, F, _GROUND) for _, V, F, fixed in shapes if fixed]
+    layers += [Layer("cause", *solid, _MARK) for solid in _marks(found, case, data)]
     view = viewer(layers, label="the robot, coloured by the share of the gap")
     scale = svg.color_bar(0.0, 100 * top, "%", HEAT) if gap else ""
     note = "Colour: share of the gap seen at the joint that moves a part, or at the base. Drag to turn."
@@ -46,34 +47,18 @@ def robot_card(found: Diagnosis) -> str:
 
 
 def _key(found: Diagnosis) -> str:
-    if not any(places_of(c) for c in found.causes):
-        return ""
-    mark = f'<i style="background:rgb{_MARK}"></i>'
-    return f'<div class="legend"><span>{mark}where the diagnosis puts the cause</span></div>'
+    placed = any(places_of(c) for c in found.causes)
+    return page.legend([("where the diagnosis puts the cause", f"rgb{_MARK}")] if placed else [])
 
 
-def first_pose(model: Any, run: Run, joint_names: tuple[str, ...]) -> Any:
-    """mujoco.MjData at the initial state of a run, positions only."""
+def first_pose(case: Case) -> Any:
+    """mujoco.MjData at the beginning of the first run, positions only."""
     import mujoco
 
-    data = mujoco.MjData(model)
-    if run.init_qpos is not None:
-        data.qpos[:] = run.init_qpos
-    else:
-        for name, column in zip(joint_names, run.signals["joint_pos"].T, strict=True):
-            data.qpos[model.joint(name).qposadr[0]] = _first(column)
-        free = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
-        for signal, offset in (("base_pos", 0), ("base_quat", 3)):
-            if len(free) and signal in run.signals:
-                for k, column in enumerate(run.signals[signal].T):
-                    data.qpos[model.jnt_qposadr[free[0]] + offset + k] = _first(column)
-    mujoco.mj_forward(model, data)
+    data, run = mujoco.MjData(case.model), case.runs[0]
+    data.qpos[:] = estimate(case, run).qpos[0] if run.init_qpos is None else run.init_qpos
+    mujoco.mj_forward(case.model, data)
     return data
-
-
-def _first(column: F64) -> float:
-    good = column[np.isfinite(column)]
-    return float(good[0]) if len(good) else 0.0
 
 
 def body_shares(kept: Arrays) -> F64:
@@ -93,51 +78,26 @@ def body_shares(kept: Arrays) -> F64:
     return result
 
 
-def _layer(name: str, parts: list[tuple[F64, Any, Any]]) -> Layer:
-    offsets = np.cumsum([0, *(len(V) for V, _, _ in parts)])
-    vertices = np.vstack([V for V, _, _ in parts]) if parts else np.zeros((0, 3))
-    cells = [np.asarray(F) + o for (_, F, _), o in zip(parts, offsets[:-1], strict=True)]
-    colors = [C for _, _, C in parts]
-    return Layer(name, vertices, np.vstack(cells) if cells else None, np.vstack(colors) if colors else None)
+def _air(P: F64) -> Layer:
+    """A triangle without area that spans the robot's box and some air, so that the first view holds all of it."""
+    middle, half = (P.min(axis=0) + P.max(axis=0)) / 2, 0.62 * np.ptp(P, axis=0)
+    return Layer("robot", np.stack([middle - half, middle + half]), [[0, 0, 1]])
 
 
-def _frame(parts: list[tuple[F64, Any, Any]]) -> tuple[F64, Any, Any]:
-    """Two triangles without area that span the robot's box and some air, so that the first view holds all of it."""
-    P = np.vstack([V for V, _, _ in parts]) if parts else np.zeros((1, 3))
-    middle, half = (P.min(axis=0) + P.max(axis=0)) / 2, 0.62 * (P.max(axis=0) - P.min(axis=0))
-    return np.stack([middle - half, middle + half]), np.array([[0, 0, 0], [1, 1, 1]]), np.zeros((2, 3), np.uint8)
-
-
-def _marks(found: Diagnosis, case: Case, data: Any) -> list[Layer]:
+def _marks(found: Diagnosis, case: Case, data: Any) -> Iterator[Solid]:
     """A ring about the axis of every joint, and a cage around every body, that a cause names."""
     size = extent(case.model, data)
-    parts: list[tuple[F64, Any, Any]] = []
     for cause in found.causes:
         for joint in cause.get("joints", []):
             j = case.model.joint(joint).id
             half = 0.1 * size * data.xaxis[j]
-            parts.append(_painted(rod(data.xanchor[j] - half, data.xanchor[j] + half, 0.008 * size)))
+            yield rod(data.xanchor[j] - half, data.xanchor[j] + half, 0.008 * size)
             if case.model.jnt_type[j] == 3:
-                parts.append(_painted(ring(data.xanchor[j], data.xaxis[j], 0.1 * size, 0.012 * size)))
+                yield ring(data.xanchor[j], data.xaxis[j], 0.1 * size, 0.012 * size)
         for body in cause.get("bodies", []):
-            low, high = _box_of(case.model, data, case.model.body(body).id, 0.02 * size)
-            parts += [_painted(rod(a, b, 0.006 * size)) for a, b in _edges(low, high)]
-    return [_layer("cause", parts)] if parts else []
-
-
-def _box_of(model: Any, data: Any, body: int, air: float) -> tuple[F64, F64]:
-    """Lowest and highest corner of a body's shapes in the world; a small cube at its centre where it has none."""
-    P = [V for b, (V, _) in solids(model, data) if b == body]
-    points = np.vstack(P) if P else data.xipos[body][None]
-    air = air if P else 2 * air
-    return points.min(axis=0) - air, points.max(axis=0) + air
-
-
-def _edges(low: F64, high: F64) -> list[tuple[F64, F64]]:
-    """The twelve edges of a box."""
-    corners = [np.array([x, y, z]) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
-    return [(a, b) for i, a in enumerate(corners) for b in corners[i + 1 :] if np.sum(a != b) == 1]
-
-
-def _painted(solid: Solid) -> tuple[F64, Any, Any]:
-    return *solid, np.tile(np.array(_MARK, np.uint8), (len(solid[0]), 1))
+            b = case.model.body(body).id
+            P = np.vstack([data.xipos[b][None], *(V for part, (V, _) in solids(case.model, data) if part == b)])
+            box = np.array([P.min(axis=0) - 0.02 * size, P.max(axis=0) + 0.02 * size])
+            corners = np.array(list(product(*box.T)))
+            edges = [(a, b) for a, b in combinations(corners, 2) if np.sum(a != b) == 1]
+            yield from (rod(a, b, 0.006 * size) for a, b in edges)

@@ -17,7 +17,7 @@ import numpy as np
 
 from realsim.core.types import F64
 from realsim.gap.case.case import Case, Run
-from realsim.gap.case.motion import estimate, median_size, third_differences
+from realsim.gap.case.motion import differences, estimate, median_size
 from realsim.gap.simulation.state import AT_REST, Start
 
 if TYPE_CHECKING:
@@ -296,4 +296,4 @@ def first_speed_spread(time: F64, values: F64) -> F64:
 
 def _noise(values: F64) -> F64:
     """(K,) standard deviation of a sample, from third differences."""
-    return np.array([1.4826 * median_size(third_differences(column) / np.sqrt(20)) for column in values.T])
+    return np.array([1.4826 * median_size(differences(column, 3) / np.sqrt(20)) for column in values.T])

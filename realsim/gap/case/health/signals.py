@@ -9,7 +9,7 @@ import numpy as np
 from realsim.core.errors import GapError
 from realsim.core.types import F64
 from realsim.gap.case.case import Case, Run
-from realsim.gap.case.motion import median_size, third_differences
+from realsim.gap.case.motion import differences, median_size
 from realsim.gap.case.split import replicates, spread
 from realsim.gap.inference.likelihood.comparison import DETAIL
 from realsim.gap.simulation.simulate import Simulator
@@ -198,7 +198,7 @@ def noise(simulator: Simulator, nominal: list[F64]) -> tuple[dict[str, Any], Sai
         kinks, errors = [], []
         for run, y in zip(case.runs, nominal, strict=True):
             r = run.signals[signal][:, [simulator.channels[i].index for i in columns]] - y[:, columns]
-            kinks += [third_differences(column) / np.sqrt(20) for column in r.T]
+            kinks += [differences(column, 3) / np.sqrt(20) for column in r.T]
             errors.append(r)
         sample = 1.4826 * median_size(np.concatenate(kinks))
         found[signal] = {"sample": sample, "replicates": spread(case, signal)}
@@ -221,7 +221,7 @@ def _stillness(case: Case) -> Said:
     for signal, names in (("joint_pos", case.joint_names), ("base_pos", tuple("xyz") if case.floating else ())):
         for j, name in enumerate(names if case.has(signal) else ()):
             columns = [r.signals[signal][:, j] for r in case.runs]
-            noise = 1.4826 * median_size(np.concatenate([third_differences(c) / np.sqrt(20) for c in columns]))
+            noise = 1.4826 * median_size(np.concatenate([differences(c, 3) / np.sqrt(20) for c in columns]))
             motion = float(np.sqrt(np.mean([np.nanvar(c) for c in columns])))
             moving += motion > max(NOISY * noise, STILLEST)
             if motion <= NOISY * noise:

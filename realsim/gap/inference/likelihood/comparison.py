@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from realsim.core.types import F64, Bool
 from realsim.gap.case.case import Case, Run
-from realsim.gap.case.motion import median_size, second_differences
+from realsim.gap.case.motion import differences, median_size
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.simulation.simulate import Channel, measured
 
@@ -224,7 +224,7 @@ class Comparison:
             for i in runs:
                 y = nominal[i]
                 r = np.where(self._valid[i][:, c], self._values[i][:, c] - y[:, c], np.nan)
-                second.append(second_differences(r))
+                second.append(differences(r, 2))
                 spread.append(self._values[i][self._valid[i][:, c], c])
             kinks = np.concatenate(second)
             robust = 1.4826 * median_size(kinks)
