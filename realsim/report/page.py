@@ -63,10 +63,9 @@ def card(title: str, body: str, note: str = "", *, wide: bool = False) -> str:
     return f'<section class="card{" wide" if wide else ""}"><h3>{esc(title)}</h3>{text}{body}</section>'
 
 
-def folded(title: str, body: str, note: str = "") -> str:
-    """A card that is closed until it is asked for."""
-    text = f'<p class="note">{prose(note)}</p>' if note else ""
-    return f'<details class="card"><summary><h3>{esc(title)}</h3></summary>{text}{body}</details>'
+def folded(title: str, body: str) -> str:
+    """A card that is closed until it is opened."""
+    return f'<details class="card"><summary><h3>{esc(title)}</h3></summary>{body}</details>'
 
 
 def grid(*cards: str) -> str:

@@ -60,17 +60,17 @@ def position(e: Evidence) -> None:
             f"model {len(e.target.joints)} joints ({', '.join(e.target.joints[:6])}): no name agrees"
         )
         return
-    values = field.values[:, columns]
-    unit, offset, said = _unit(e.target, names, values, source.unit)
+    values, ranges = field.values[:, columns], e.target.ranges[[e.target.joints.index(n) for n in names]]
+    unit, offset, why = _unit(ranges, values, source.unit)
     size = ANGLE.get(unit, 2 * np.pi / TICKS)
     values = (values - offset) * size
-    turns = not source.unit and unit == "rad" and _share_within(e.target, names, 2 * np.pi * values) > IN_TURNS
-    if turns and np.isfinite(e.target.ranges[[e.target.joints.index(n) for n in names]]).any():
+    turns = not source.unit and unit == "rad" and _share_within(ranges, 2 * np.pi * values) > IN_TURNS
+    if turns and np.isfinite(ranges).any():
         doubtful = True
-        said += "; as turns they would be, too: give the unit in the column's name, q1 [rad]"
-    signs, turned = _signs(e.target, names, values)
-    evidence = [f"by {source.why}", how, said, *turned, _within(e.target, names, values * signs)]
-    if _share_within(e.target, names, values * signs) < IN_RANGE:
+        why += "; as turns they would be, too: give the unit in the column's name, q1 [rad]"
+    signs, turned = _signs(ranges, names, values)
+    evidence = [f"by {source.why}", how, why, *turned, _within(ranges, names, values * signs)]
+    if _share_within(ranges, values * signs) < IN_RANGE:
         doubtful = True
         evidence.append("most samples are outside the ranges of the model's joints: another unit, zero or model?")
     e.settle("joint_pos", source, columns, names, evidence, scale=size * signs, offset=offset, unit=unit,
@@ -155,10 +155,10 @@ def _order_score(e: Evidence, field: Field, order: Mapping[int, str], source: Ca
     """(agreement 0 to 1 of an order of unnamed columns with the model, what it consists of)."""
     assert e.target is not None
     columns, names = list(order), list(order.values())
-    values = field.values[:, columns]
-    unit, offset, _ = _unit(e.target, names, values, source.unit)
+    values, ranges = field.values[:, columns], e.target.ranges[[e.target.joints.index(n) for n in names]]
+    unit, offset, _ = _unit(ranges, values, source.unit)
     values = (values - offset) * ANGLE.get(unit, 2 * np.pi / TICKS)
-    parts = {"in range": _share_within(e.target, names, values)}
+    parts = {"in range": _share_within(ranges, values)}
     level = _feet_level(e, names, values)
     if level is not None:
         parts["feet level"] = level
@@ -198,74 +198,63 @@ def _feet_level(e: Evidence, order: Sequence[str], values: F64) -> float | None:
 # ---------------------------------------------------------------- units and signs of positions
 
 
-def _unit(target: Target, names: Sequence[str], values: F64, declared: str) -> tuple[str, float, str]:
+def _unit(ranges: F64, values: F64, declared: str) -> tuple[str, float, str]:
     """(unit, offset in it, why): what puts the joints into their ranges; what is declared unless plainly wrong."""
-    ranges = target.ranges[[target.joints.index(n) for n in names]]
-    if np.isfinite(ranges).all(axis=1).sum() == 0:
+    if not np.isfinite(ranges).all(axis=1).any():
         largest = float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values)))
         if declared in ANGLE:
             return declared, 0.0, f"in {declared}, as is declared"
         unit = "deg" if largest > 4 * np.pi else "rad"
         return unit, 0.0, f"largest value {largest:.3g}: taken as {unit} (the model's joints have no ranges to test)"
-    shares = {u: _share_within(target, names, values * f) for u, f in ANGLE.items() if u != "mrad"}
+    read = {u: values * f for u, f in ANGLE.items() if u != "mrad"}
+    whole = values[np.isfinite(values)]
+    if (whole == np.round(whole)).all() and np.nanmax(values) > 400:
+        read["ticks"] = (values - TICKS / 2) * 2 * np.pi / TICKS
+    shares = {u: _share_within(ranges, v) for u, v in read.items()}
     # A unit that shrinks everything to nothing is in range too: of equal ones the one that fills the range wins.
-    filled = {u: _filling(target, names, values * f) for u, f in ANGLE.items() if u in shares}
-    score = {u: shares[u] + 0.3 * filled[u] for u in shares}
-    whole = np.isfinite(values)
-    if (values[whole] == np.round(values[whole])).all() and np.nanmax(values) > 400:
-        middle = TICKS / 2
-        ticks = (values - middle) * 2 * np.pi / TICKS
-        score["ticks"] = _share_within(target, names, ticks) + 0.3 * _filling(target, names, ticks)
+    score = {u: shares[u] + 0.3 * _filling(ranges, v) for u, v in read.items()}
     usual = declared if declared in score else "rad"
     best = max(score, key=lambda u: score[u])
     unit = best if score[best] > score[usual] + CLEAR else usual
     if unit == "ticks":
-        return (
-            unit,
-            TICKS / 2,
-            f"whole numbers up to {np.nanmax(values):.0f}: encoder steps, {TICKS} a turn, zero in the middle",
-        )
-    said = f"in {unit}: {shares[unit]:.0%} of the samples within the joints' ranges"
+        why = f"whole numbers up to {np.nanmax(values):.0f}: encoder steps, {TICKS} a turn, zero in the middle"
+        return unit, TICKS / 2, why
+    why = f"in {unit}: {shares[unit]:.0%} of the samples within the joints' ranges"
     if unit != usual:
-        said += f" ({usual}, as {'declared' if declared else 'usual'}, {shares[usual]:.0%})"
-    return unit, 0.0, said
+        why += f" ({usual}, as {'declared' if declared else 'usual'}, {shares[usual]:.0%})"
+    return unit, 0.0, why
 
 
-def _share_within(target: Target, names: Sequence[str], values: F64) -> float:
-    ranges = target.ranges[[target.joints.index(n) for n in names]]
+def _share_within(ranges: F64, values: F64) -> float:
     inside = (values >= ranges[:, 0] - MARGIN) & (values <= ranges[:, 1] + MARGIN)
     return float(inside[np.isfinite(values)].mean()) if np.isfinite(values).any() else 0.0
 
 
-def _filling(target: Target, names: Sequence[str], values: F64) -> float:
+def _filling(ranges: F64, values: F64) -> float:
     """How much of its range the widest moving joint uses, 0 to 1."""
-    ranges = target.ranges[[target.joints.index(n) for n in names]]
     width = np.ptp(ranges, axis=1)
     used = np.nanmax(np.abs(values), axis=0) / np.maximum(np.max(np.abs(ranges), axis=1), 1e-9)
     used = used[np.isfinite(width)]
     return float(np.clip(used.max(), 0, 1)) if len(used) else 0.0
 
 
-def _signs(target: Target, names: Sequence[str], values: F64) -> tuple[F64, list[str]]:
+def _signs(ranges: F64, names: Sequence[str], values: F64) -> tuple[F64, list[str]]:
     """((K,) 1 or -1, what was turned): joints that lie in their range only the other way round."""
-    signs, said = np.ones(len(names)), []
+    signs, notes = np.ones(len(names)), []
     for k, name in enumerate(names):
-        here, there = (_share_within(target, [name], s * values[:, [k]]) for s in (1.0, -1.0))
+        here, there = (_share_within(ranges[[k]], s * values[:, [k]]) for s in (1.0, -1.0))
         if here < 0.5 and there > 0.95:
             signs[k] = -1.0
-            said.append(
+            notes.append(
                 f"{name} is turned: {here:.0%} of its samples within its range, {there:.0%} with the other sign"
             )
-    return signs, said
+    return signs, notes
 
 
-def _within(target: Target, names: Sequence[str], values: F64) -> str:
+def _within(ranges: F64, names: Sequence[str], values: F64) -> str:
     """The joint that lies most outside its range."""
-    shares = [_share_within(target, [n], values[:, [k]]) for k, n in enumerate(names)]
-    worst = int(np.argmin(shares))
-    return (
-        f"{names[worst]} is outside its range in {1 - shares[worst]:.0%} of the samples" if shares[worst] < 0.9 else ""
-    )
+    share, k = min((_share_within(ranges[[k]], values[:, [k]]), k) for k in range(len(names)))
+    return f"{names[k]} is outside its range in {1 - share:.0%} of the samples" if share < 0.9 else ""
 
 
 # ---------------------------------------------------------------- velocities and torques

@@ -90,6 +90,7 @@ def test_order_of_unnamed_columns_by_level_feet(quadruped: Log, tmp_path: Path) 
         [table(quadruped, q=quadruped.pos[:, SDK], q_des=quadruped.command[:, SDK], acc=quadruped.acc)], target
     )
     assert found.assignments["joint_pos"].targets[:3] == ("FR_hip_joint", "FR_thigh_joint", "FR_calf_joint")
+    assert not found.assignments["joint_pos"].doubtful
 
 
 def test_an_order_that_nothing_tells_is_in_doubt(quadruped: Log, tmp_path: Path) -> None:
