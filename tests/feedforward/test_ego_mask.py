@@ -43,7 +43,7 @@ def test_wrong_poses_are_no_reason_to_leave_anything_out(plain: list[Frame]) -> 
     assert find_ego_mask([holding(f) for f in plain], POSES[::-1]) is None
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=4, deadline=None)
 @given(st.integers(0, 200), st.integers(0, 150), st.floats(0.3, 0.7))
 def test_it_is_found_wherever_it_is(plain: list[Frame], left: int, top: int, at: float) -> None:
     where = np.zeros((240, 320), bool)
@@ -71,6 +71,7 @@ def test_features_that_stay_while_the_rest_moves_need_no_poses(plain: list[Frame
     assert (full & ~HAND).mean() < 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("poses", ["given", "estimate"])
 def test_the_scene_is_made_without_it(plain: list[Frame], poses: str) -> None:
     frames = rooms.frame_set([holding(f) for f in plain[:10]])

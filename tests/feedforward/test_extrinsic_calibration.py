@@ -29,6 +29,7 @@ def kinect(tmp_path_factory: pytest.TempPathFactory) -> tuple[FrameSet, Path]:
     return found, made.truth
 
 
+@pytest.mark.slow
 def test_the_colour_camera_is_found(kinect: tuple[FrameSet, Path]) -> None:
     frames, folder = kinect
     solution = feedforward.solve(frames, PointsConfig())

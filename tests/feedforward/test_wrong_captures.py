@@ -168,6 +168,7 @@ def test_exact_poses_past_equal_doors_are_used_whole(tmp_path: Path) -> None:
     assert found.warnings == ()
 
 
+@pytest.mark.slow
 def test_half_the_frames_of_another_room_are_not_mixed_in(two: tuple[Path, Path], tmp_path: Path) -> None:
     """Four frames of each: every pair of two places is looked at with the learned matcher too."""
     folder, each = spoilt(two, tmp_path / "half", half_of_another), 4

@@ -200,6 +200,10 @@ def _points(view: View, index: np.ndarray, theta: F64) -> F64:
     return np.column_stack([xy, np.ones(len(xy))]) * z[:, None]
 
 
+CORNERS = np.array([[0, 0, 1, 1], [0, 1, 0, 1]])[..., None]
+"""Rows and columns of the pixels about a place."""
+
+
 def look_up_inverse_depth(view: View, xy: F64) -> F64:
     """(M,) bilinear inverse depth of the thinned grid, NaN at borders and holes."""
     c = view.camera
@@ -208,11 +212,9 @@ def look_up_inverse_depth(view: View, xy: F64) -> F64:
     ok = (u0 >= 0) & (v0 >= 0) & (u0 < c.width - 1) & (v0 < c.height - 1)
     u0, v0 = np.where(ok, u0, 0), np.where(ok, v0, 0)
     du, dv = u - u0, v - v0
-    total = np.zeros(len(xy))
-    low, high = np.full(len(xy), np.inf), np.zeros(len(xy))
-    for a, b, w in ((0, 0, (1 - du) * (1 - dv)), (1, 0, du * (1 - dv)), (0, 1, (1 - du) * dv), (1, 1, du * dv)):
-        d = view.depth[v0 + b, u0 + a].astype(float)
-        low, high = np.minimum(low, d), np.maximum(high, d)
-        total += w / np.maximum(d, 1e-6)
+    d = view.depth[v0 + CORNERS[0], u0 + CORNERS[1]].astype(float)
+    weight = np.abs(1 - CORNERS[0] - dv) * np.abs(1 - CORNERS[1] - du)
+    low, high = d.min(0), d.max(0)
     ok &= (low > 0) & (high < 1.05 * low)
+    total = (weight / np.maximum(d, 1e-6)).sum(0)
     return np.where(ok, total, np.nan)

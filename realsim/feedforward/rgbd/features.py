@@ -261,8 +261,9 @@ def rigid_ransac(P: F64, Q: F64, rng: np.random.Generator, trials: int = 200) ->
     limit = 0.01 * np.minimum(P[:, 2], Q[:, 2]) + 0.01
     pick = np.array([rng.choice(len(P), 3, replace=False) for _ in range(trials)])
     R, t = _kabsch(P[pick], Q[pick])
-    off = np.linalg.norm(np.einsum("tab,mb->tma", R, Q) + t[:, None] - P, axis=-1)
-    inlier = off[(off < limit).sum(1).argmax()] < limit
+    off = R @ Q.T + t[:, :, None] - P.T
+    near = np.einsum("tam,tam->tm", off, off) < limit**2
+    inlier = near[near.sum(1).argmax()]
     for _ in range(3):
         if inlier.sum() < 12:
             return None
