@@ -15,7 +15,7 @@ from realsim.gap.provenance import provenance
 from realsim.gap.simulation.simulate import Simulator
 
 from .test_recovery import logged
-from .truth import Truth
+from .truth import FINE, Truth
 
 
 def config(folder: Path, sizes: object) -> DiagnoseConfig:
@@ -43,7 +43,7 @@ def test_sizes_are_in_the_reported_unit_and_by_place(folder: Path, tmp_path: Pat
 
 @pytest.mark.parametrize(("steps", "named"), [(0.1, set()), (2.0, {"joint_compliance"})])
 def test_any_joint_gives_a_little(steps: float, named: set[str], made: Callable[..., Path]) -> None:
-    case = load_case(made("gives", Truth(), runs=3))
+    case = load_case(made("gives", Truth(), FINE, runs=3))
     with Simulator(case, DiagnoseConfig(threads=1)) as simulator:
         (p,) = EFFECTS["joint_compliance"].parameters(simulator.context, ("shoulder",))
     soft = logged(case, [("joint_compliance", ("shoulder",), {"stiffness": steps * p.step})])

@@ -9,7 +9,7 @@ from realsim.gap.inference.evidence.onsets import find_onsets
 from realsim.gap.inference.likelihood.comparison import Comparison
 from realsim.gap.simulation.simulate import Simulator
 
-from .truth import ARM, Truth
+from .truth import Truth
 
 PUSHED = {"run_02": 1.9, "run_03": 1.2, "run_05": 2.3, "run_06": 2.3}
 SPAN = (3.0, 3.3)
@@ -52,7 +52,7 @@ def test_other_gaps_have_none(made, truth: Truth) -> None:
 @pytest.mark.slow
 def test_a_push_beside_a_lasting_cause_is_found_once_that_is_known(made) -> None:
     truth = Truth(force={"fore": (18.0, 0.0, 8.0)}, force_windows=WINDOWS, coulomb={"shoulder": 3.0})
-    folder = made("bumped_and_stiff", truth, ARM.replace('timestep="0.002"', 'timestep="0.004"'), runs=6, span=SPAN)
+    folder = made("bumped_and_stiff", truth, runs=6, span=SPAN)
     assert onsets_of(folder) == {}
     both = ("coulomb_friction", "external_force")
     found = diagnose(load_case(folder), DiagnoseConfig(effects=both, bootstrap=50))

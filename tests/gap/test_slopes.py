@@ -26,14 +26,14 @@ from tests.truths.diagnosis.robots import ROBOTS
 from tests.truths.diagnosis.truth import Truth as TrueRobot
 
 from .test_recovery import logged
-from .truth import Truth
+from .truth import FINE, Truth
 
 CONFIG = DiagnoseConfig(threads=1, settle_seconds=0.3)
 
 
 @pytest.fixture(scope="module")
 def arm(made) -> Case:
-    return load_case(made("slopes", Truth(), runs=2))
+    return load_case(made("slopes", Truth(), FINE, runs=2))
 
 
 def screened(case: Case, effects: tuple[str, ...]) -> Screen:
@@ -164,7 +164,7 @@ def test_what_does_nothing_beside_a_cause_explains_nothing_there(arm: Case) -> N
 
 
 def test_a_search_that_fails_on_a_run_it_did_not_look_at_finds_nothing(made, monkeypatch) -> None:
-    screen = screened(load_case(made("slopes_four", Truth(), runs=4)), ("armature",))
+    screen = screened(load_case(made("slopes_four", Truth(), FINE, runs=4)), ("armature",))
     assert screen.varied is None  # an arm is simulated fast: all runs are looked at
     monkeypatch.setattr(screen.simulator.context, "touches", True)
     screen.varied = screen._varied()

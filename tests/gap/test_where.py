@@ -19,7 +19,7 @@ from realsim.gap.inference.evidence.where import by_horizon, evidence, localise,
 from realsim.gap.inference.likelihood.comparison import Comparison
 from realsim.gap.simulation.simulate import Simulator
 
-from .truth import Truth
+from .truth import FINE, Truth
 
 CONFIG = DiagnoseConfig(threads=1)
 FRICTION = [("coulomb_friction", ("elbow",), {"friction": 0.5})]
@@ -42,7 +42,7 @@ def logged(simulator: Simulator, settings: Any, noise: float = 1e-5) -> Case:
 
 @pytest.fixture(scope="module")
 def arm(made: Callable[..., Path]) -> Iterator[Simulator]:
-    with Simulator(load_case(made("torque", Truth(), torque="measured")), CONFIG) as found:
+    with Simulator(load_case(made("fine_torque", Truth(), FINE, torque="measured")), CONFIG) as found:
         yield found
 
 

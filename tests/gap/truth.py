@@ -1,4 +1,4 @@
-"""Small made-up robots whose gap is known: a servo loop of its own at 1 kHz, a finer time step, nuisances always on."""
+"""Small made-up robots whose gap is known: a servo loop of its own, a finer time step (1 ms), nuisances always on."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 PENDULUM = """
 <mujoco model="pendulum">
   <compiler angle="radian"/>
-  <option timestep="0.002" integrator="implicitfast"/>
+  <option timestep="0.004" integrator="implicitfast"/>
   <worldbody>
     <body name="arm" pos="0 0 1">
       <joint name="swing" axis="0 1 0" frictionloss="0.15" damping="0.05" armature="0.02"/>
@@ -26,7 +26,7 @@ PENDULUM = """
 ARM = """
 <mujoco model="arm">
   <compiler angle="radian"/>
-  <option timestep="0.002" integrator="implicitfast"/>
+  <option timestep="0.004" integrator="implicitfast"/>
   <worldbody>
     <body name="upper" pos="0 0 1">
       <joint name="shoulder" axis="0 1 0" frictionloss="0.5" damping="0.3" armature="0.08"/>
@@ -44,6 +44,9 @@ ARM = """
     <position name="elbow_servo" joint="elbow" kp="60" kv="2.6" forcerange="-24 24"/>
   </actuator>
 </mujoco>"""
+
+FINE = ARM.replace('timestep="0.004"', 'timestep="0.002"')
+"""Where what the step itself does would be seen."""
 
 
 @dataclass
@@ -158,7 +161,7 @@ def make_case(
 
 def _robot(spec, truth: Truth, rng: np.random.Generator, nuisance: float):
     spec = spec.copy()
-    spec.option.timestep = 0.0005
+    spec.option.timestep = 0.001
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     for actuator in list(spec.actuators):
         spec.delete(actuator)
@@ -224,28 +227,26 @@ def replay(
     fading = get(truth.fading, 1.0)
     data.qpos[out] = data.qpos[motor] = command[0] - offset
     end = true_time[-1]
-    steps = int((end + 1.0) / 0.0005)
+    steps = int((end + 1.0) / 0.001)
     tau = np.zeros((steps, len(joints)))
     all_pos, all_vel = np.zeros((steps, real.nq)), np.zeros((steps, real.nv))
     qpos, qvel, applied = data.qpos, data.qvel, data.qfrc_applied
     delay = truth.delay + nuisance * 0.0005
     pushed = [(data.xfrc_applied[real.body(n).id], np.array([*f, 0, 0, 0])) for n, f in truth.force.items()]
-    # Most robots have few of these: what is absent is not computed 2,000 times a second.
+    # Most robots have few of these: what is absent is not computed 1,000 times a second.
     slowing, rubbing = bool(truth.no_load_speed), bool(truth.stribeck or truth.load or truth.ripple)
     for k in range(steps):
-        now = k * 0.0005 - 1.0
-        if k % 2 == 0:
-            i = min(max(math.floor((now - delay) * rate), 0), count - 1)
-            v = qvel[dof]
-            torque = gain * (kp * (command[i] - qpos[motor] - offset) - kd * v)
-            if truth.fading:
-                torque = torque * (1 - (1 - fading) * max(now, 0) / end)
-            top = np.maximum(np.minimum(limit, limit * (1 - np.sign(torque) * v / v0)), 0) if slowing else limit
-            torque = np.minimum(np.maximum(torque, -top), top)
-            if not rubbing:
-                applied[dof] = torque
-        if rubbing:
-            v = qvel[dof]
+        now = k * 0.001 - 1.0
+        i = min(max(math.floor((now - delay) * rate), 0), count - 1)
+        v = qvel[dof]
+        torque = gain * (kp * (command[i] - qpos[motor] - offset) - kd * v)
+        if truth.fading:
+            torque = torque * (1 - (1 - fading) * max(now, 0) / end)
+        top = np.maximum(np.minimum(limit, limit * (1 - np.sign(torque) * v / v0)), 0) if slowing else limit
+        torque = np.minimum(np.maximum(torque, -top), top)
+        if not rubbing:
+            applied[dof] = torque
+        else:
             extra = stribeck * np.exp(-((v / 0.15) ** 2)) * np.tanh(v / 0.002)
             extra += load * np.abs(torque) * np.tanh(v / 0.005)
             applied[dof] = torque - extra + ripple * np.sin(9 * qpos[motor])
@@ -256,7 +257,7 @@ def replay(
     pos, vel = all_pos[:, out], all_vel[:, link]
     jitter = nuisance * 2e-4
     time = true_time + rng.normal(0, jitter, count) if nuisance else true_time
-    at = np.clip(((true_time + 1.0 - truth.observation_delay) / 0.0005).astype(int), 0, steps - 1)
+    at = np.clip(((true_time + 1.0 - truth.observation_delay) / 0.001).astype(int), 0, steps - 1)
     quantum = 2 * np.pi / 16384
     reading = pos[at] + offset + nuisance * (rng.normal(0, 3e-4, (count, len(joints))) + 4e-4 * np.sin(pos[at]))
     if nuisance:
