@@ -317,7 +317,7 @@ def turned(T, V, F, up=None):
 
 @pytest.mark.parametrize(
     ("closed", "up_known", "T"),
-    [(False, False, LYING), (False, False, ASKEW), (False, True, ASKEW), (True, True, LYING)],
+    [(False, False, ASKEW), (True, True, LYING)],
 )
 def test_a_mesh_wound_inside_out_gives_the_same_scene(course, source, closed, up_known, T):
     V, F = plinth(course[:4]) if closed else mesh_of(course[:4])
@@ -330,7 +330,7 @@ def test_a_mesh_wound_inside_out_gives_the_same_scene(course, source, closed, up
     assert any("inside out" in a for a in wrong.assumptions)
 
 
-@pytest.mark.parametrize("T", [np.eye(4), LYING, HEAD_DOWN, ASKEW])
+@pytest.mark.parametrize("T", [LYING, ASKEW])
 def test_a_mesh_of_right_winding_is_left_alone(course, T):
     """Whatever its axis; and a room seen from inside is no block inside out."""
     for V, F in (mesh_of(course[:4]), plinth(course[:4])):
@@ -348,7 +348,7 @@ def test_what_lies_under_a_floor_that_faces_up_in_its_file_is_a_pit(course):
 
 @pytest.mark.parametrize(
     ("thickness", "T"),
-    [(0.005, LYING), (0.02, np.eye(4)), (0.02, ASKEW), (0.05, HEAD_DOWN), (0.3, LYING), (0.3, ASKEW)],
+    [(0.005, LYING), (0.02, ASKEW), (0.05, HEAD_DOWN), (0.3, LYING)],
 )
 def test_of_a_slab_under_a_course_the_upper_face_is_the_ground(course, source, thickness, T):
     """Thinner or thicker than a voxel. Where no axis of the file points up, or the one that is believed points down

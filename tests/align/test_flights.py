@@ -70,7 +70,7 @@ def edges(going: float, turn: float = 0.0, count: int = 8, rise: float = 0.19) -
 
 @pytest.mark.parametrize("turn", [0.0, 8.0])
 @given(seed=st.integers(0, 100))
-@settings(max_examples=4, deadline=None)
+@settings(max_examples=2, deadline=None)
 def test_a_flight_seen_from_below_reaches_from_edge_to_edge(turn: float, seed: int) -> None:
     """Each tread as high as its edge, as deep as the next edge says; the way begins on the ground and ends on top."""
     rng = np.random.default_rng(seed)

@@ -144,6 +144,7 @@ def test_close_stops_where_the_contract_is_broken_and_goes_on_where_it_was(case:
         close(other, TrainConfig(), base_of("quadruped"), "boxes:0.3:1", out)
 
 
+@pytest.mark.slow
 def test_close_fine_tunes_for_what_the_log_shows(case: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The whole loop on the quadruped, with a diagnosis of weak motors that is given: one iteration, a few trials."""
     import realsim as rs

@@ -272,10 +272,10 @@ def test_evaluations_take_no_more_than_their_share(tmp_path: Path, monkeypatch: 
         return 0.5
 
     monkeypatch.setattr(r, "iterate", second)
-    config = LoopConfig(iterations=60, evaluate_every=2, evaluate_share=0.2, tensorboard=False)
+    config = LoopConfig(iterations=40, evaluate_every=2, evaluate_share=0.2, tensorboard=False)
     history = train(r, config, tmp_path, evaluate=five_seconds)
     # The one before the training does not count. 5 s are a fifth of 25 s, of which 20 are training.
-    assert [iteration for iteration, _ in history.evaluations] == [0, 2, 20, 40, 60]
+    assert [iteration for iteration, _ in history.evaluations] == [0, 2, 20, 40]
 
 
 def test_a_policy_is_written_where_nothing_is_left_to_train(tmp_path: Path) -> None:
