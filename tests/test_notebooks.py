@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
+
+from realsim import pipeline
+from realsim.export.config import SceneConfig
+from realsim.meshing.config import MeshConfig
+from realsim.pipeline import ReconstructConfig
 
 NOTEBOOKS = Path(__file__).resolve().parents[1] / "examples" / "notebooks"
 
@@ -40,6 +46,9 @@ def test_diagnose(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.slow
 def test_reconstruct(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """More coarsely than a reader's own run."""
+    coarse = partial(ReconstructConfig, mesh=MeshConfig(resolution=0.03), scene=SceneConfig(contact_probes=200))
+    monkeypatch.setattr(pipeline, "ReconstructConfig", coarse)
     monkeypatch.setenv("REALSIM_CACHE", str(tmp_path / "cache"))
     known = run("reconstruct", tmp_path, monkeypatch)
     assert known["scene"].verdict.usable

@@ -24,8 +24,8 @@ from realsim.meshing.config import MeshConfig
 from realsim.pipeline import ReconstructConfig, peak_memory_mb, reconstruct
 from realsim.synth.config import SynthConfig
 
-FRAMES = 16
-SMALL = ("--resolution", "0.02", "--contact-probes", "300", "--robot", "quadruped")
+FRAMES = 12
+SMALL = ("--resolution", "0.03", "--contact-probes", "300", "--robot", "quadruped")
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Demo:
 
 @pytest.fixture(scope="module")
 def config(tmp_path_factory: pytest.TempPathFactory) -> ReconstructConfig:
-    scene, mesh = SceneConfig(contact_probes=300, robot="quadruped"), MeshConfig(resolution=0.02)
+    scene, mesh = SceneConfig(contact_probes=300, robot="quadruped"), MeshConfig(resolution=0.03)
     return ReconstructConfig(cache=tmp_path_factory.mktemp("cache"), scene=scene, mesh=mesh)
 
 

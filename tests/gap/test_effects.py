@@ -150,7 +150,7 @@ def test_an_effect_of_an_installed_package_is_found_where_it_was_injected(tmp_pa
     (source,) = (block for block in page.split("```python\n")[1:] if "return_spring" in block)
     install(tmp_path, source.partition("```")[0])
     spring = ARM.replace('name="elbow"', 'name="elbow" stiffness="6"')
-    folder = make_case(tmp_path / "case", spring, Truth(), runs=3, seed=3)
+    folder = make_case(tmp_path / "case", spring, Truth(), runs=3, seed=3, span=(2.6, 3.2))
     (folder / "model.xml").write_text(ARM)
     paths = os.pathsep.join(filter(None, (str(tmp_path), os.environ.get("PYTHONPATH"))))
     options = ["--out", tmp_path / "out", "--effects", "return_spring", *RIVALS, "--bootstrap", "50"]
@@ -184,7 +184,7 @@ EFFECT = Effect(
 def test_an_installed_effect_that_fails_is_named_with_its_package(tmp_path: Path) -> None:
     """Neither a traceback nor a candidate that is left out without a word."""
     install(tmp_path, BROKEN)
-    folder = make_case(tmp_path / "case", COARSE, Truth(), runs=2, seed=3, span=SHORT)
+    folder = make_case(tmp_path / "case", ARM, Truth(), runs=2, seed=3, span=(2.6, 3.2))
     paths = os.pathsep.join(filter(None, (str(tmp_path), os.environ.get("PYTHONPATH"))))
 
     def realsim(*options: str | Path) -> subprocess.CompletedProcess[str]:

@@ -126,15 +126,17 @@ def test_two_processes_share_the_work_where_only_torch_is_installed(tmp_path: Pa
     assert state.load(tmp_path).step == 2
 
 
+@pytest.mark.slow
 def test_the_exported_file_is_what_realsim_reads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A network after a few steps, stored in every precision, through the backend onnx."""
+    """A network after a few steps, its weights in half precision and in 8 bits; the latter through the backend onnx."""
     pytest.importorskip("onnxruntime")
     pytest.importorskip("onnx")
     from realsim import feedforward
     from realsim.core.types import Frame, FrameSet, Intrinsics
     from realsim.feedforward.config import OnnxConfig, PointsConfig
-    from training.pointmap import export, shipped
+    from training.pointmap import bundle, export, shipped
 
+    monkeypatch.setattr(bundle, "ROUNDS", 2)  # of a long graph onnxruntime thinks for seconds
     traced: list[tuple[bytes, dict[str, float]]] = []
     trace = export.export
 
@@ -157,30 +159,30 @@ def test_the_exported_file_is_what_realsim_reads(tmp_path: Path, monkeypatch: py
         frames.append(Frame(f"{k}", camera, lambda z=depth: z, lambda c=color: c))
     capture = FrameSet(tuple(frames), Path("made"), "test")
     sizes = []
-    for precision in export.PRECISIONS:
+    for precision in ("float16", "int8"):
         made = export.write(state.State(net), tmp_path / f"{precision}.onnx", (32, 48), precision)
         sizes.append(made.megabytes)
         for (name, kept), (_, trained) in zip(
             shipped.load(made.path).net.state_dict().items(), net.state_dict().items(), strict=True
         ):
             torch.testing.assert_close(kept, trained, rtol=1e-3, atol=5e-3 * float(trained.abs().max()), msg=name)
-        config = PointsConfig(backend="onnx", onnx=OnnxConfig(model=made.path, drop_least_sure=0))
-        solution = feedforward.solve(capture, config)
-        maps = feedforward.pointmaps(capture, solution, config)
-        assert len(maps) == 3
-        assert maps.load(0).mask.mean() > 0.3
-        assert not any("guessed" in w for w in maps.warnings)
-        with torch.no_grad():
-            small = torch.nn.functional.interpolate(batch.images[0], (32, 48), mode="area")[None]
-            K = torch.from_numpy(np.diag([0.75, 2 / 3, 1]).astype(np.float32)) @ batch.K
-            K[..., 0, 2], K[..., 1, 2] = (
-                (batch.K[..., 0, 2] + 0.5) * 0.75 - 0.5,
-                (batch.K[..., 1, 2] + 0.5) * 2 / 3 - 0.5,
-            )
-            z = net(small, torch.zeros(1, 3, 32, 48), K).log_z.exp().numpy()[0]
-        got, there = solution.arrays["depth"], solution.arrays["depth"] > 0
-        assert np.median(np.abs(got / z - 1)[there]) < (0.02 if precision == "int8" else 0.005)
-    assert sizes == sorted(sizes, reverse=True)
+    assert sizes[0] > sizes[1]
+    config = PointsConfig(backend="onnx", onnx=OnnxConfig(model=made.path, drop_least_sure=0))
+    solution = feedforward.solve(capture, config)
+    maps = feedforward.pointmaps(capture, solution, config)
+    assert len(maps) == 3
+    assert maps.load(0).mask.mean() > 0.3
+    assert not any("guessed" in w for w in maps.warnings)
+    with torch.no_grad():
+        small = torch.nn.functional.interpolate(batch.images[0], (32, 48), mode="area")[None]
+        K = torch.from_numpy(np.diag([0.75, 2 / 3, 1]).astype(np.float32)) @ batch.K
+        K[..., 0, 2], K[..., 1, 2] = (
+            (batch.K[..., 0, 2] + 0.5) * 0.75 - 0.5,
+            (batch.K[..., 1, 2] + 0.5) * 2 / 3 - 0.5,
+        )
+        z = net(small, torch.zeros(1, 3, 32, 48), K).log_z.exp().numpy()[0]
+    got, there = solution.arrays["depth"], solution.arrays["depth"] > 0
+    assert np.median(np.abs(got / z - 1)[there]) < 0.02
 
 
 def test_the_file_that_ships_is_this_network() -> None:
