@@ -21,8 +21,8 @@ def test_a_model_without_its_meshes_is_told_what_to_do(load, tmp_path: Path) -> 
     assert "meshes" in str(caught.value.hint)
 
 
-def test_other_errors_of_a_model_have_no_such_hint(tmp_path: Path) -> None:
+def test_other_errors_of_a_model_have_another_hint(tmp_path: Path) -> None:
     (tmp_path / "robot.xml").write_text("<mujoco><worldbody><body><freejoint/></body></worldbody></mujoco>")
     with pytest.raises(GapError) as caught:
         load_target(tmp_path / "robot.xml")
-    assert caught.value.hint is None
+    assert "mend it until MuJoCo loads it" in str(caught.value.hint)

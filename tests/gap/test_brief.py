@@ -27,6 +27,7 @@ def data(verdict: str, causes: int, others: int = 0) -> dict[str, Any]:
     where = [{"signal": "joint_pos", "joint": j, "phase": "reversal", "share": 0.1} for j in JOINTS]
     return {
         "verdict": verdict,
+        "sentence": "Your model lacks friction.",
         "causes": [cause(j) for j in JOINTS[:causes]],
         "equivalent": [[cause(j)] for j in JOINTS[:others]],
         "where": where,
@@ -55,6 +56,7 @@ def test_the_terminal_shows_a_dozen_lines_at_most(verdict: str, causes: int, oth
     lines = text.splitlines()
     assert len(lines) <= 1 + 12
     assert lines[0].startswith(SAID[GapVerdict(verdict)].word)
+    assert ("Your model lacks friction." in lines[0]) == (verdict == "identified")
     assert "out/model.xml" in lines[-1]
     assert "record one run twice" in text
 
