@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.core.meshes import sampled
-from realsim.core.types import F64, U8, FrameSet
-from realsim.report.raster import colorize, png_uri
+from realsim.core.types import F64, FrameSet
+from realsim.report.raster import colorize, photo_uri
 
 SHOWN = 4
 """Frames, spread over the capture."""
@@ -62,10 +62,10 @@ def _pictures(frames: FrameSet, chosen: list[int]) -> list[tuple[str, str]]:
         frame = frames.frames[i]
         color = frame.color()
         if color is not None:
-            pictures.append((f"{frame.name}, colour", png_uri(_small(color))))
+            pictures.append((f"{frame.name}, colour", photo_uri(color, WIDTH)))
         depth = np.where(frame.depth() > 0, frame.depth(), np.nan)
         far = float(np.nanpercentile(depth, 95)) if np.isfinite(depth).any() else 1.0
-        pictures.append((f"{frame.name}, depth to {far:.1f} m", png_uri(_small(colorize(depth, 0.0, far)))))
+        pictures.append((f"{frame.name}, depth to {far:.1f} m", photo_uri(colorize(depth, 0.0, far), WIDTH)))
     return pictures
 
 
@@ -76,8 +76,3 @@ def _spread(points: F64, triangles: NDArray[Any] | None) -> F64:
         return points[rng.permutation(len(points))[:POINTS]]
     return sampled(points, triangles, POINTS, rng)[0]
 
-
-def _small(image: U8) -> U8:
-    """Every n-th pixel, so that the picture is about WIDTH wide."""
-    step = max(image.shape[1] // WIDTH, 1)
-    return np.ascontiguousarray(image[::step, ::step])
