@@ -75,4 +75,3 @@ def _spread(points: F64, triangles: NDArray[Any] | None) -> F64:
     if triangles is None or not len(triangles):
         return points[rng.permutation(len(points))[:POINTS]]
     return sampled(points, triangles, POINTS, rng)[0]
-

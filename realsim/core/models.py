@@ -36,6 +36,10 @@ def odd_number(model: Any) -> str | None:
     return None
 
 
+REFERRING = ("actuators", "sensors", "tendons", "equalities", "excludes", "pairs")
+"""Parts of an MjSpec that name others: a copy of it loses, without a word, those that name nothing."""
+
+
 def load_mjcf(
     path: Path, root: Path | None = None, prepare: Callable[[Any], None] = lambda spec: None
 ) -> tuple[Any, Any, str]:
@@ -53,6 +57,9 @@ def load_mjcf(
     text = check_mjcf(path, root, GapError)
     try:
         spec = mujoco.MjSpec.from_file(str(path))
+        copied = spec.copy()
+        if any(len(getattr(copied, part)) != len(getattr(spec, part)) for part in REFERRING):
+            spec.compile()  # which says what is missing
         prepare(spec)
         model = spec.copy().compile()
     except Exception as error:  # MuJoCo raises ValueError and its own types

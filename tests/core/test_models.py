@@ -21,6 +21,17 @@ def test_a_model_without_its_meshes_is_told_what_to_do(load, tmp_path: Path) -> 
     assert "meshes" in str(caught.value.hint)
 
 
+@pytest.mark.parametrize("load", [load_model, load_target])
+def test_an_actuator_of_a_joint_that_is_not_there_is_no_model_without_it(load, tmp_path: Path) -> None:
+    """MjSpec.copy() drops it."""
+    body = '<body><joint name="j"/><geom size="0.1" mass="1"/></body>'
+    actuator = '<actuator><motor joint="k"/></actuator>'
+    (tmp_path / "robot.xml").write_text(f"<mujoco><worldbody>{body}</worldbody>{actuator}</mujoco>")
+    with pytest.raises(GapError, match="does not compile") as caught:
+        load(tmp_path / "robot.xml")
+    assert "'k'" in str(caught.value.found)
+
+
 def test_other_errors_of_a_model_have_another_hint(tmp_path: Path) -> None:
     (tmp_path / "robot.xml").write_text("<mujoco><worldbody><body><freejoint/></body></worldbody></mujoco>")
     with pytest.raises(GapError) as caught:
