@@ -86,7 +86,10 @@ class Whole:
         if not len(triangles) or not self.holds(points[triangles].mean(1), 2 * margin):  # most are refused here
             return not len(triangles)
         count = int(np.clip(areas(points, triangles).sum() / SPACING**2, 100, PLACES))
-        return self.holds(sampled(points, triangles, count, np.random.default_rng(0))[0], margin, FEW)
+        for places, few in ((count // 10, 3 * FEW), (count, FEW)):  # a tenth of them tells of most
+            if not self.holds(sampled(points, triangles, places, np.random.default_rng(0))[0], margin, few):
+                return False
+        return True
 
 
 def merged(parts: list[Polytope], whole: Whole, adds: float = ADDS) -> list[Polytope | None]:

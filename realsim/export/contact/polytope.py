@@ -115,12 +115,12 @@ class Polytope:
         """(K, 2) outline of this where the plane `beyond` metres outside another's face cuts it, in that face's plane;
         empty where it does not."""
         height = self.points @ face.normal + face.offset - beyond
-        over, under = height > 0, height <= 0
-        if not over.any() or not under.any():
-            return np.zeros((0, 2))
-        a, b = self.points[over][:, None], self.points[under][None]
-        t = (height[over][:, None] / (height[over][:, None] - height[under][None]))[..., None]
-        return face.flat((a + t * (b - a)).reshape(-1, 3))
+        triangles = self.hull[1]
+        start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()  # every edge, once in each direction
+        crosses = (height[start] > 0) & (height[end] <= 0)
+        start, end = start[crosses], end[crosses]
+        t = height[start] / (height[start] - height[end])
+        return face.flat(self.points[start] + t[:, None] * (self.points[end] - self.points[start]))
 
     def part(self, name: str) -> tuple[Geom, Asset | None]:
         """Its geom, and the asset of that where it is no box."""
