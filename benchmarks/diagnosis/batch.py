@@ -15,6 +15,7 @@ import os
 import subprocess
 import sys
 import time
+from collections.abc import Iterable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -51,21 +52,25 @@ def main() -> int:
     if "contract" in args.parts:
         command = [str(HERE / "contract.py"), "--jobs", str(args.jobs), "--out", str(work / "contract.json")]
         subprocess.run([sys.executable, *command], check=False)
+
+    def answer(jobs: Iterable[Job]) -> None:
+        minutes = args.minutes - (time.monotonic() - began) / 60
+        diagnose_all([replace(job, seconds=args.seconds) for job in jobs], args.jobs, minutes)
+
     jobs = []
     if "put_in" in args.parts:
         jobs += [Job(f, work / "put_in" / engine() / n) for n, (f, _) in put_in.labelled(args.shared).items()]
     if "flights" in args.parts:
         jobs += flights.jobs(args.shared, work / "flights").values()
-    drawn = fresh(args, work / "fresh" / "as_drawn") if "fresh" in args.parts else []
-    jobs += [job for job, walks in drawn if not walks]
+    answer(jobs)  # before cases are made, which takes minutes
     if "real" in args.parts:
         options = argparse.Namespace(work=work / "real", shared=args.shared, jobs=args.jobs, seed=1, cases=20)
         names = [n for n, log in LOGS.items() if log.part == "report"]
         real.make(options, names)
-        jobs += [real.job(options.work, n) for n in real.read_labels(options.work, names)]
-    jobs += [job for job, walks in drawn if walks]  # the longest last
-    minutes = args.minutes - (time.monotonic() - began) / 60
-    diagnose_all([replace(job, seconds=args.seconds) for job in jobs], args.jobs, minutes)
+        answer(real.job(options.work, n) for n in real.read_labels(options.work, names))
+    if "fresh" in args.parts:
+        drawn = fresh(args, work / "fresh" / "as_drawn")
+        answer(job for job, _ in sorted(drawn, key=lambda of: of[1]))  # the longest last
     return 0
 
 
