@@ -159,7 +159,7 @@ def _partner(
         if pair in refused:
             continue
         halfway = (one.points[:, None] + other.points).reshape(-1, 3) / 2  # most are refused by these, without a hull
-        if whole.holds(halfway, 2 * adds):
+        if whole.holds(halfway[:: 1 + len(halfway) // 100], 2 * adds):
             hull = Polytope(corners_of(one.points, other.points))  # whether it is a box is looked at when all are done
             if len(hull.points) <= MOST_CORNERS and whole.holds_hull(hull, adds, one, other):
                 return hull
