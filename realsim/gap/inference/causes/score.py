@@ -69,8 +69,6 @@ def asked(screen: Screen, before: Fit) -> float:
 def doubts(fitter: Fitter, before: Fit, after: Fit) -> tuple[list[str], Held | None]:
     """(what speaks against the last cause of `after`: it gains too little, or not on runs that are left out, as must a
     law that contains the one whose place it takes; its gain on those)."""
-    if before.causes and imitates(after) and not imitates(before):  # it would spoil the values of the others, too
-        return ["larger than plausible: it imitates what is left"], None
     if len(after.causes) <= len(before.causes):
         if not any(contains(after.causes[-1].candidate, c.candidate) for c in before.causes):
             return [], None
@@ -79,6 +77,7 @@ def doubts(fitter: Fitter, before: Fit, after: Fit) -> tuple[list[str], Held | N
         return [] if needed else ["runs left out in turn do not need the richer law"], held
     found = []
     gain, least = score(fitter.screen, before) - score(fitter.screen, after), asked(fitter.screen, before)
+    gain -= bent(before, after) if before.causes else 0.0  # beside others it would bend their values, too
     if gain < least:
         found.append(f"gains {gain:.1f} nats, must gain {least:.1f}")
     held = left_out(fitter, before, after)
