@@ -42,7 +42,8 @@ KINDS = {
     "tape_on_propeller_M3": "thrust",
 }  # fmt: skip
 """Condition -> what it is; the motor stands at the end of the name."""
-SORTS = {"payload": "mass", "link_inertia": "mass", "com_offset": "mass", "thrust_gain": "thrust"}
+SORTS = {"payload": "mass", "com_offset": "mass", "thrust_gain": "thrust"}
+"""Inertia without mass is neither: seven times the model's is what motors that answer late look like."""
 
 
 def main() -> int:

@@ -77,6 +77,8 @@ def unseen() -> list[str]:
         ("the same: wrong under a verdict that names a cause", judged(once, "wrong"), ""),
         ("damaged drones: mass or thrust, rightly", flagged(damaged, "kind_right"), "80 %"),
         ("damaged drones: at the right arm", flagged(damaged, "arm_right"), "80 %"),
+        ("damaged drones: `identified`, and wrong",
+         share((sum(r["verdict"] == "identified" and not r["kind_right"] for r in damaged), len(damaged))), "none"),
         ("normal flights, nothing named", flagged(normal, "kind_right"), "all"),
         ("changed since a normal flight: mass or thrust", flagged(changed, "change_right"), "80 %"),
         ("changed since a normal flight: the arm", flagged(changed, "change_arm_right"), "80 %"),
