@@ -185,7 +185,7 @@ def _summary(result: Mapping[str, Any], out: Path, config: DiagnoseConfig) -> st
     from realsim.gap.answer.brief import brief
 
     said = SAID[GapVerdict(result["verdict"])]
-    # The finding itself where it can be acted on; what else a sentence would say stands in the rows.
+    # The finding itself where it can be acted on; the rest of the sentence is in the rows.
     finding = result["sentence"] if said.level == "good" and result["causes"] else said.headline
     parts = brief(result)
     rows = [row for part in parts.values() for row in part]

@@ -18,9 +18,9 @@ capture, 30 prisms become 17 parts and the p95 stays at 1.6 mm."""
 FEW = 0.02
 """Share of a hull that may stand out by up to twice as much, so that no single place decides."""
 SPACING = 0.02
-"""Metres between the places on a hull that are looked at: nothing that matters fits into less; and..."""
+"""Metres between the samples on a hull; the balls of the measure are 2 cm across; and..."""
 PLACES = 5000
-"""...how many at most on a part: a large one is looked at more widely."""
+"""...how many at most on a part: a large one is sampled more widely."""
 ALIKE = 0.98
 """Cosine between faces that are one: its plane is that of the largest."""
 TOUCH = 0.003
@@ -160,7 +160,7 @@ def _partner(
             continue
         halfway = (one.points[:, None] + other.points).reshape(-1, 3) / 2  # most are refused by these, without a hull
         if whole.holds(halfway[:: 1 + len(halfway) // 100], 2 * adds):
-            hull = Polytope(corners_of(one.points, other.points))  # whether it is a box is looked at when all are done
+            hull = Polytope(corners_of(one.points, other.points))  # boxes are recognised when all are merged
             if len(hull.points) <= MOST_CORNERS and whole.holds_hull(hull, adds, one, other):
                 return hull
         refused.add(pair)

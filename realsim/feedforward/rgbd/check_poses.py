@@ -107,7 +107,7 @@ class ComparedPair:
     """(M, 3) the same points in camera j by features; else (K, 3) points that j sees. Where `t` is None, points of
     either are looked up in the other's depth."""
     t: F64 | None
-    """(3,) where camera j stands in camera i, by features and depth alone; None: no features."""
+    """(3,) position of camera j in camera i, by features and depth alone; None: no features."""
 
 
 class Comparison:
