@@ -15,10 +15,12 @@ from realsim.export.contact.undersides import Walls, settle
 F64 = NDArray[np.float64]
 CELL = 0.005  # metres, of a small mesh that is exact as fine as...
 FINEST, ACROSS = 0.002, 100  # metres, and cells across: boards of 8 mm are walls of a bin; and at least...
-FINE, ROUGH = 0.003, 0.015  # metres that a plane may be off: of an exact mesh, and at most, as the measure allows
 SHARE = 0.25  # ...this share of a reconstruction's resolution, below which there is nothing to find
 PIT = 0.015  # metres below the ground from which a plane will not do as floor
 RIM = 0.03  # metres beside a pit in which its walls come up to the ground
+FINE, ROUGH = 0.003, 0.015
+"""Metres that a plane may be off: of an exact mesh, and at most. The second was set on a rendered corridor of 4 x 2 m;
+on three reconstructed captures, where it was not set, the p95 of contact stays within 0.1 mm."""
 Window = tuple[slice, slice]
 
 
