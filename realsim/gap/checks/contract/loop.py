@@ -21,8 +21,9 @@ WINDOW = 10
 """Policy steps (a fifth of a second) for which an input that is not logged is taken to be constant."""
 
 
-REPLAYS, AT_LIMIT = 4, 1e-6
-"""Rounds in which last actions that limits cut off are replayed, each a call of the policy; and nearness to a limit."""
+REPLAYS, SETTLED, AT_LIMIT = 16, 3e-3, 1e-6
+"""Rounds at most in which last actions that limits cut off are replayed, each a call of the policy; by how much (rms)
+the last one still changes them; and nearness to a limit."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +102,9 @@ def _of_run(contract: Contract, steps: Steps, which: int, loop: Loop) -> F64:
     cut = _cut(sent, action, loop)
     for _ in range(REPLAYS if loop.unaware else 0):  # each carries what was cut off one step on
         own = contract.run(_vector(_parts(contract, steps, which, loop, action), loop), depth)
-        action = np.where(cut, own, action)
+        before, action = action, np.where(cut, own, action)
+        if np.sqrt(np.mean((action - before) ** 2)) < SETTLED:
+            break
     parts = _parts(contract, steps, which, loop, action)
     if run.told is None and any(t.kind == "command" for t in contract.terms):
         return _with_unknown(contract, sent, parts, depth, loop, "command")

@@ -368,8 +368,9 @@ def _limits(contract: Contract, steps: Steps, loop: Loop) -> Iterator[Family]:
     sent = np.concatenate(commands(contract, steps))
     for limit in (float(np.abs(actions(contract, sent, loop)).max()), 0.5, 1.0, 2.0, 5.0):
         if limit > 1e-6 and (contract.clip is None or limit < contract.clip - 1e-6):
-            for unaware in (False, True):
-                yield _set("clipped_action", f"actions are clipped at {limit:.3g}", clip=limit, unaware=unaware)
+            yield _set("clipped_action", f"actions are clipped at {limit:.3g}", clip=limit)
+            text = f"targets end where actions reach {limit:.3g}, which the policy's last action does not show"
+            yield _set("clipped_target", text, clip=limit, unaware=True)
     low, high = sent.min(axis=0), sent.max(axis=0)
     often = ((sent <= low + 1e-6) | (sent >= high - 1e-6)).mean(axis=0) > 0.05
     if often.any() and not any(np.isfinite(ends).any() for ends in loop.bounds):

@@ -1,8 +1,8 @@
 """One search for what differs between a loop and its contract: one score, a mistake after the other.
 
 Score: the mean over joints of log(rms of sent less replayed targets + floor), in nats. Of all proposals, each fitted,
-the one with the best score is taken if it is worth PRICE; it is applied, and the search goes on. At the end, each that
-is taken is left out once, and stays out if it is no longer worth PRICE.
+the one with the best score is taken if it is worth PRICE; it is applied, those before it are fitted again, and
+the search goes on. At the end, each that is taken is left out once, and stays out if it is no longer worth PRICE.
 """
 
 from __future__ import annotations
@@ -115,21 +115,62 @@ def search(problem: Problem, loop: Loop) -> tuple[Loop, list[Trial]]:
     start, taken = loop, list[Trial]()
     while len(taken) < MOST:
         here = problem.scales(loop)
-        tried = sorted(_tried(problem, loop, here), key=lambda t: t.score)
-        if not tried or not problem.worth(here, tried[0].scales):
+        best = _chosen(problem, here, list(_tried(problem, loop, here)))
+        if best is None:
             break
-        best = tried[0]
-        near = [t for t in tried[1:] if t.score < best.score + TIE and t.kind != best.kind]
-        # The same change in other words (minus one as a scale, and as three axes turned round) is no rival.
-        near = [t for t in near if not np.allclose(t.scales, best.scales, rtol=SAME)]
-        rivals = {t.kind: t for t in reversed(near) if problem.worth(here, t.scales)}
-        taken.append(replace(best, rivals=tuple(rivals.values())))
-        loop = best.applied(loop)
+        taken = _settled(problem, start, [*taken, best])
+        loop = _applied(start, taken)
     for which in range(len(taken) - 2, -1, -1):  # without those that the later ones make needless
         fewer = [t for k, t in enumerate(taken) if k != which]
         if not problem.worth(*(problem.scales(_applied(start, trials)) for trials in (fewer, taken))):
             taken = fewer
     return _applied(start, taken), taken
+
+
+def _chosen(problem: Problem, here: F64, tried: list[Trial]) -> Trial | None:
+    """The best of what is worth its price beside the scales `here` (J,), with its rivals.
+
+    The same change comes in several words (minus one as a scale, and as three axes turned round): the one with the
+    fewest parameters is taken, and the others are no rivals.
+    """
+    tried = [t for t in tried if problem.worth(here, t.scales)]
+    if not tried:
+        return None
+    least = min(tried, key=lambda t: t.score)
+    best = min((t for t in tried if _same(t, least)), key=lambda t: t.family.size)
+    near = sorted((t for t in tried if t.score < least.score + TIE and not _same(t, least)), key=lambda t: -t.score)
+    rivals = {t.kind: t for t in near if t.kind != best.kind}
+    return replace(best, rivals=tuple(rivals.values()))
+
+
+def _same(a: Trial, b: Trial) -> bool:
+    return a is b or bool(np.allclose(a.scales, b.scales, rtol=SAME))
+
+
+def _settled(problem: Problem, start: Loop, taken: list[Trial]) -> list[Trial]:
+    """Each but the last fitted again, and chosen again among its rivals, with the others in their places: what came
+    first was fitted to what came later too."""
+    for k in range(len(taken) - 1):
+        before, later = _applied(start, taken[:k]), taken[k + 1 :]
+        here = problem.scales(_applied(before, later))
+        again = [_beside(problem, before, later, t, _cost(here)) for t in (taken[k], *taken[k].rivals)]
+        best = _chosen(problem, here, [t for t in again if t is not None])
+        if best is not None:
+            taken = [*taken[:k], best, *later]
+    return taken
+
+
+def _beside(problem: Problem, loop: Loop, later: list[Trial], trial: Trial, first: float) -> Trial | None:
+    """A trial fitted again from where it was, with later ones after it."""
+
+    def change(loop: Loop, x: F64) -> Loop:
+        return _applied(trial.family.change(loop, x), later)
+
+    if not trial.family.size:
+        return replace(trial, scales=problem.scales(change(loop, trial.values)))
+    whole = replace(trial.family, change=change, starts=(trial.family.starts[0], trial.values))
+    again = _fitted(problem, loop, whole, first)
+    return None if again is None else replace(again, family=trial.family)
 
 
 def _applied(loop: Loop, taken: list[Trial]) -> Loop:

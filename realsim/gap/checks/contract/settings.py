@@ -38,9 +38,9 @@ _SETTINGS: dict[str, tuple[str, str, str, str]] = {
                    "a delay of that term (modifiers)", "the age of that topic when it is read"),
     "irregular_readings": ("queue depth 1 and one clock", "queue depth 1 and one clock", "queue depth 1 and one clock",
                            "the thread that copies lowstate"),
-    "clipped_action": ("action_limit of the ONNX metadata", "clip_actions of the runner", "clip_actions; clip of the "
-                       "action's config", "actions.JointPositionAction.clip"),
-    "clipped_target": ("--max-step, or the drive's limits", "joint limits on targets", "soft_joint_pos_limit_factor",
+    "clipped_action": ("action_limit of the ONNX metadata", "clip_actions of the runner", "clip_actions of the runner",
+                       "actions.JointPositionAction.clip"),
+    "clipped_target": ("--max-step, or the drive's limits", "joint limits on targets", "clip of the action's config",
                        "the drive's position limits"),
     "observation_scale": ("units of Reading: rad, rad/s", "scale of the observation's config", "scale of ObsTerm",
                           "observations.*.scale"),

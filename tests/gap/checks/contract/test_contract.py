@@ -108,6 +108,8 @@ DEFAULT = np.tile([0.1, 0.8, -1.5], 2)
         ({"history_order"}, {"newest_first": True}),
         ({"sensor_delay"}, {"late": 2}),
         ({"clipped_target"}, {"send": lambda t: np.clip(t, DEFAULT - 0.02, DEFAULT + 0.04)}),
+        ({"clipped_target"}, {"send": lambda t: np.clip(t, DEFAULT - 0.03, DEFAULT + 0.03)}),
+        ({"gravity_frame", "sensor_delay"}, {"gravity": -1.0, "late": 2}),
         ({"action_scale", "observation_scale"}, {"gain": 0.8, "see_vel": lambda v: 0.05 * v}),
         ({"gravity_frame", "joint_sign"}, {"gravity": -1.0, "see": lambda q: SIGN * q, "see_vel": lambda v: SIGN * v}),
     ],
