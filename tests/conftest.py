@@ -16,6 +16,7 @@ from hypothesis import settings
 # Read when torch and numpy are loaded.
 for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(threads, "1")
+os.environ.setdefault("SOURCE_DATE_EPOCH", "1767225600")  # pages of two minutes are the same bytes
 
 # A shell that runs tests in the background has them ignore Ctrl-C, and their children too: interrupts are tested.
 with contextlib.suppress(ValueError):  # not the main thread

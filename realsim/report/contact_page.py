@@ -16,7 +16,6 @@ from realsim.report.contact import map_card, rows
 from realsim.report.document import use_card
 from realsim.report.layers import MESH_TRIANGLES, axes_layer, collision_layers, robot_layers
 from realsim.report.marks import leaks_of, marks_layer
-from realsim.report.summary import Made
 from realsim.report.viewer3d import Layer, viewer
 
 
@@ -51,9 +50,7 @@ def write_contact_page(folder: Path, files: SceneFiles) -> None:
         page.folded("All figures", page.table(("figure", "value"), rows(c))),
     ]
     subtitle = f"ground {c['ground']}, collision geometry {c['representation']}"
-    html = page.document(
-        f"Contact of {c['mesh']}", subtitle, "".join(body), scripts=[viewer3d.script()], date=Made.now().date
-    )
+    html = page.document(f"Contact of {c['mesh']}", subtitle, "".join(body), scripts=[viewer3d.script()])
     write_text(folder / "report.html", html)
 
 

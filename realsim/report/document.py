@@ -59,7 +59,7 @@ def reconstruction_page(
     ]
     title = f"Reconstruction of {'/'.join(result.source.source.parts[-2:])}"
     subtitle = f"{views}, layout {result.source.layout}, backend {backend}, surface by {result.mesh.method}"
-    return page.document(title, subtitle, "".join(body), scripts=[viewer3d.script()], date=made.date)
+    return page.document(title, subtitle, "".join(body), scripts=[viewer3d.script()])
 
 
 def _picture_card(picture: U8 | str) -> list[str]:

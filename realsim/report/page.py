@@ -6,8 +6,10 @@ passed on as they are. A page needs no network: style, scripts, pictures and mes
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Sequence
+from datetime import UTC, datetime
 from html import escape
 from importlib.resources import files
 from typing import Any, Literal
@@ -138,7 +140,15 @@ def fold(summary: str, body: str) -> str:
     return f"<details><summary>{esc(summary)}</summary>{body}</details>"
 
 
-def document(title: str, subtitle: str, body: str, *, scripts: Sequence[str] = (), date: str = "") -> str:
+def now() -> str:
+    """The date that pages state, to the minute, UTC: now, or SOURCE_DATE_EPOCH (reproducible-builds.org) where it is
+    set, for pages that are to be the same bytes."""
+    epoch = os.environ.get("SOURCE_DATE_EPOCH", "")
+    date = datetime.fromtimestamp(int(epoch), UTC) if epoch.isdigit() else datetime.now(UTC)
+    return f"{date:%Y-%m-%d %H:%M} UTC"
+
+
+def document(title: str, subtitle: str, body: str, *, scripts: Sequence[str] = ()) -> str:
     """The whole page.
 
     Args:
@@ -146,10 +156,9 @@ def document(title: str, subtitle: str, body: str, *, scripts: Sequence[str] = (
         subtitle: one line below it (source, backend).
         body: pieces from this module.
         scripts: JavaScript texts to run after the body (`viewer3d.script()` where there is a 3D view).
-        date: when it was made.
     """
     tags = "".join(f"<script>{s}</script>" for s in scripts)
-    footer = f"<footer>{esc(', '.join(filter(None, (f'realsim {__version__}', date))))}</footer>"
+    footer = f"<footer>realsim {__version__}, {now()}</footer>"
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width,initial-scale=1"><meta name="color-scheme" '

@@ -6,7 +6,6 @@ import platform as machine
 import shlex
 import sys
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ import numpy as np
 
 from realsim import __version__
 from realsim.core.types import MeshQuality, Reconstruction
+from realsim.report import page
 from realsim.report.verdict import Judgement, dropped_frames, scale_of
 
 _PACKAGES = ("numpy", "scipy", "open3d", "opencv-contrib-python-headless", "trimesh", "pymeshlab", "mujoco")
@@ -34,7 +34,7 @@ class Made:
         """By this process, at this time."""
         program = Path(sys.argv[0]).name if sys.argv else ""
         start = ["python", "-m", "realsim"] if program == "__main__.py" else [program]
-        return cls(f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC", shlex.join([*start, *sys.argv[1:]]))
+        return cls(page.now(), shlex.join([*start, *sys.argv[1:]]))
 
 
 def summary(result: Reconstruction, judgement: Judgement, made: Made) -> dict[str, Any]:

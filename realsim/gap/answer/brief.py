@@ -44,11 +44,9 @@ def _size(data: Mapping[str, Any]) -> list[Row]:
         return []
     rows = []
     if causes:
-        low, high = shrunk["ci90"]
-        rows.append(
-            ("check", f"{share(shrunk['fraction'])} of the squared error goes, 90 % interval {share(low)} to "
-             f"{share(high)}, {on_what(shrunk)}")
-        )  # fmt: skip
+        low, high = map(share, shrunk["ci90"])
+        ends = f"90 % interval {low} to {high}" if low != high else "the 90 % interval is narrower than its last digit"
+        rows.append(("check", f"{share(shrunk['fraction'])} of the squared error goes, {ends}, {on_what(shrunk)}"))
         if beside := shrunk.get("beside_deviations"):
             rows.append(("", f"of what everyday deviations leave there, {share(beside[0])} to {share(beside[1])} goes"))
     by_size = sorted(shrunk["per_signal"].items(), key=lambda item: -item[1]["rms_before"] / item[1]["floor"])
