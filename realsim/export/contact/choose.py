@@ -86,7 +86,13 @@ def fit_contact(
                 continue
             measured = partial(tick, f"measuring {name}")
             fidelity = measure(
-                spec_of(contact), reference, ground_z, probes=config.contact_probes, tick=measured, bare=bare
+                spec_of(contact),
+                reference,
+                ground_z,
+                probes=config.contact_probes,
+                tick=measured,
+                bare=bare,
+                noise=mesh.noise_m or 0.0,
             )
             tried.append((contact, fidelity))
             if fidelity.meets(*config.contact_tolerance):

@@ -74,7 +74,8 @@ def columns(mesh: TerrainMesh, ground_z: float, cell: float) -> Columns:
     ray, z, up, seen = crossings(mesh, x.ravel(), y.ravel(), float(upper[2]) + 1)
     top, bottom, above, below = _tidy(*_intervals(ray, z, up, x.size), ground_z)
     shape = (len(top), counts[1], counts[0])
-    top_seen, bottom_seen = np.append(seen, False)[above], np.append(seen, False)[below]  # of -1: not seen
+    # Of -1: not seen; nor is the top of a sheet of which the underside was.
+    top_seen, bottom_seen = np.append(seen & up, False)[above], np.append(seen, False)[below]
     return Columns(
         origin, cell, top.reshape(shape), top_seen.reshape(shape), bottom.reshape(shape), bottom_seen.reshape(shape)
     )

@@ -18,6 +18,7 @@ F64 = NDArray[np.float64]
 UPRIGHT = np.array([1.0, 0, 0, 0])
 EDGE = 0.015  # metres: what is farther off than this is phantom or missing surface
 HALF_FOOT = 0.035  # metres: half the width of G1's foot
+BESIDE = 1.0  # metres: as large as holes that scans leave in ceilings
 DROP = 0.02  # metres of height, the same for a ball lowered straight down
 # The target for rooms; two standard errors beside it were added after one of 220 rays too many on a rendered capture.
 OFF = 0.03  # most of the heights, and of the rays from the side, that may be off
@@ -125,6 +126,7 @@ def measure(
     seed: int = 0,
     tick: Callable[[float], None] = lambda share: None,
     bare: bool = False,
+    noise: float = 0.0,
 ) -> Fidelity:
     """Probe the collision geoms of `spec` (`MjSpec`, any MJCF) against a reference surface.
 
@@ -139,6 +141,7 @@ def measure(
         feet: feet that are lowered; as many are slid.
         tick: called with the share that is done, now and then.
         bare: whether the ground goes on where the mesh has no surface.
+        noise: metres that the reference itself may be off.
     """
     tick(0.0)
     rng = np.random.default_rng(seed)
@@ -158,7 +161,7 @@ def measure(
         slid = foot.push(region, feet // 4, rng)
         figures |= {"feet": _summary(down.error), "feet_slid": _summary(slid.error)}
     tick(0.7)
-    figures |= count_leaks(spec, reference, region.lower, region.upper, ground_z, seed=seed)
+    figures |= count_leaks(spec, reference, region.lower, region.upper, ground_z, seed=seed, noise=noise)
     tick(0.9)
     figures["sides"] = side_figures(spec, reference, region.lower, region.upper, ground_z, seed, bare=bare)
     return Fidelity(figures, lowered)
@@ -186,9 +189,12 @@ class _Compare:
         return self.reference.clearance(self.probe, positions, quats)
 
     def lower(self, xy: F64, quats: F64, region: Region) -> Touches:
-        """From above everything, or from below a ceiling, straight down; not where a ceiling leaves no room."""
+        """From above everything, or from below a ceiling, straight down; not where a ceiling leaves no room. Beside a
+        ceiling (a hole in it, the end of its walls) too: nothing comes from above it."""
         highest = region.top + self.reach + 0.05
-        z = np.minimum(self.reference.start_above(xy, region.bottom) - self.reach - 0.05, highest)
+        above = self.reference.start_above(xy, region.bottom)
+        above = np.minimum(above, _lowest_near(xy, above))
+        z = np.minimum(above - self.reach - 0.05, highest)
         free = (z == highest) | (z - self.reach > np.nan_to_num(self.reference.top(xy, z), nan=-np.inf) + 0.01)
         start, quats = np.column_stack([xy, z])[free], quats[free]
         down = np.broadcast_to([0.0, 0.0, -1.0], start.shape)
@@ -220,6 +226,18 @@ class _Compare:
             cosine = (self.sim.normals(at_sim, quats) * self.reference.normals(at_sim)).sum(1)
             normal = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
         return Touches(start, np.where(touched, early - late, np.nan), np.where(touched, along, np.nan), at_sim, normal)
+
+
+def _lowest_near(xy: F64, above: F64) -> F64:
+    """(M,) the least of the finite values of `above` (M,) at the points (M, 2) within BESIDE; inf where none is."""
+    from scipy.spatial import cKDTree
+
+    covered = np.isfinite(above)
+    if not covered.any():
+        return above
+    reach, nearest = cKDTree(xy[covered]).query(xy, k=min(4, int(covered.sum())), distance_upper_bound=BESIDE)
+    values = np.append(above[covered], np.inf)
+    return np.asarray(values[nearest].reshape(len(reach), -1).min(1))
 
 
 def _where_seen(touches: Touches, reference: Reference, ground_z: float) -> Touches:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ F64 = NDArray[np.float64]
 CELL = 0.005  # metres, of a small mesh that is exact as fine as...
 FINEST, ACROSS = 0.002, 100  # metres, and cells across: boards of 8 mm are walls of a bin; and at least...
 SHARE = 0.25  # ...this share of a reconstruction's resolution, below which there is nothing to find
-PIT = 0.015  # metres below the ground from which a plane will not do as floor
+PIT, NOISES = 0.015, 2.5  # metres below the ground, and times the noise, from which a plane will not do as floor
 RIM = 0.03  # metres beside a pit in which its walls come up to the ground
 FINE, ROUGH = 0.003, 0.015
 """Metres that a plane may be off: of an exact mesh, and at most. The second was set on a rendered corridor of 4 x 2 m;
@@ -34,6 +34,8 @@ class Island:
     """(rows, columns) z, NaN outside the island."""
     under: F64
     """(rows, columns) z of its underside, the base where it stands on the ground; NaN outside."""
+    top_seen: float = 1.0
+    """Share of its top that was measured; a ceiling has none."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +82,7 @@ def terrain(mesh: TerrainMesh, ground_z: float, cell: float | None = None) -> Te
     tolerance = float(np.clip(2 * (mesh.noise_m or 0.0), FINE, ROUGH))
     floor: tuple[Geom, ...] = (floor_plane(ground_z),)
     base = ground_z
-    pits = _pits(grid, ground_z)
+    pits = _pits(grid, ground_z - max(PIT, NOISES * (mesh.noise_m or 0.0)))
     dug = np.zeros(pits.shape, bool)
     if pits.any():
         base = float(grid.lowest[pits].min()) - PIT
@@ -96,18 +98,18 @@ def terrain(mesh: TerrainMesh, ground_z: float, cell: float | None = None) -> Te
     for layer in range(len(grid.top)):
         for island, unseen in _layer(grid, layer, base, level, tolerance):
             under, inferred = settle(grid, island.corner, island.top, island.under, unseen, base, narrowest, walls)
-            found.append(Island(island.corner, island.top, under))
+            found.append(replace(island, under=under))
             areas += inferred
     guessed = (float(areas[0]), float(areas[1]))
     return Terrain(grid, tuple(found), base, floor, tolerance, narrowest, guessed)
 
 
-def _pits(grid: Columns, ground_z: float) -> NDArray[np.bool_]:
-    """(rows, columns) what lies clearly below the ground, in pieces of which at least 100 cm^2 were measured, and not
+def _pits(grid: Columns, level: float) -> NDArray[np.bool_]:
+    """(rows, columns) what lies below a level, in pieces of which at least 100 cm^2 were measured, and not
     in threads: a few stray cells at the rim of a scan are no pit, nor is the bottom that a mesh was closed with."""
     from scipy import ndimage
 
-    low = np.isfinite(grid.lowest) & (grid.lowest < ground_z - PIT)
+    low = np.isfinite(grid.lowest) & (grid.lowest < level)
     pieces, count = ndimage.label(ndimage.binary_opening(low, np.ones((5, 5))))
     sizes = np.bincount(pieces.ravel(), grid.lowest_seen.ravel(), minlength=count + 1) * grid.cell**2
     sizes[0] = 0
@@ -162,7 +164,8 @@ def _layer(
         if is_speck(float(np.nanmax(z - level[place])), size, bool((inside & rim[place]).any())):
             continue
         under = np.where(inside, np.where(bottom[place] > level[place], bottom[place], base), np.nan)
-        out.append((Island((place[0].start, place[1].start), z, under), inside & ~seen[place]))
+        share = float(grid.top_seen[layer][place][inside].mean())
+        out.append((Island((place[0].start, place[1].start), z, under, share), inside & ~seen[place]))
     return out
 
 

@@ -25,6 +25,7 @@ def count_leaks(
     *,
     objects: int = 150,
     seed: int = 0,
+    noise: float = 0.0,
 ) -> dict[str, Any]:
     """Throw balls of 1 cm onto a terrain for a second and count those that get through its surface.
 
@@ -34,6 +35,7 @@ def count_leaks(
     Args:
         spec: `MjSpec` of the terrain.
         lower, upper: (2,) rectangle over which they are thrown, metres.
+        noise: metres that the reference itself may be off.
 
     Returns:
         {`leaks`, `leak_objects`, `leak_places`}: how many got in, of how many that stayed over the reference, and
@@ -67,7 +69,7 @@ def count_leaks(
     below = ends[:, 2] < min(ground_z, extent[:, 2].min()) - 2 * RADIUS
     inside = _entered(reference.seen_only(), np.array(path)) > 0
     for place in path[-SETTLED:]:
-        inside &= reference.buried(place) & (reference.depth(place) > DEEP)
+        inside &= reference.buried(place) & (reference.depth(place) > DEEP + noise)
     inside |= below
     through = inside & over
     places = ends[through].round(3).tolist()

@@ -7,15 +7,15 @@ on, and a foot would touch several parts at once: on an arch, a step took seven 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from realsim.export.contact.islands import Island, Terrain
 from realsim.export.contact.outline import convex_parts, outlines
-from realsim.export.contact.planes import SMALLEST, Window, from_corner, heights, misfit, segment, spread
+from realsim.export.contact.planes import SMALLEST, Misfit, Window, from_corner, heights, misfit, segment, spread
 from realsim.export.contact.prisms import Prism
 
 F64 = NDArray[np.float64]
@@ -147,9 +147,7 @@ def _with_ledges(z: F64, labels: NDArray[np.int64], planes: F64, off: F64) -> tu
     return labels, np.array(out).reshape(-1, 3)
 
 
-def _without_crumbs(
-    pairs: NDArray[np.int64], width: int, top_cost: Callable[..., F64], bottom_cost: Callable[..., F64]
-) -> NDArray[np.int64]:
+def _without_crumbs(pairs: NDArray[np.int64], width: int, top_cost: Misfit, bottom_cost: Misfit) -> NDArray[np.int64]:
     """Pieces of fewer than SMALLEST cells go to the neighbour that suits them best."""
     from scipy import ndimage
 
@@ -162,9 +160,9 @@ def _without_crumbs(
         sizes[0] = SMALLEST
         labels[place][(sizes < SMALLEST)[pieces]] = -1
 
-    def cost(pair: NDArray[np.int64]) -> F64:
+    def cost(pair: NDArray[np.int64], *at: Any) -> F64:
         top, bottom = np.divmod(np.maximum(pair, 0), width)
-        return np.nan_to_num(top_cost(top)) + np.nan_to_num(bottom_cost(bottom))
+        return np.nan_to_num(top_cost(top, *at)) + np.nan_to_num(bottom_cost(bottom, *at))
 
     return spread(labels, pairs >= 0, cost)
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 Window = tuple[slice, slice]
+Misfit = Callable[..., F64]
 WINDOWS = (5, 3)  # cells a side over which a cell's own plane is fitted; the small one for narrow faces
 MOST_SEEDS = 250  # places tried for a plane: a surface that needs more is not made of planes, and each costs a pass
 SMALLEST = 12  # cells: what is smaller is not worth a plane
@@ -142,26 +143,28 @@ def heights(plane: F64, shape: tuple[int, int]) -> F64:
     return plane[0] * columns + plane[1] * rows + plane[2]
 
 
-def misfit(z: F64, planes: F64) -> Callable[[I64], F64]:
-    """A function that turns an image of plane indices (negative: any) into (rows, columns) metres that z is off."""
-    rows, columns = np.indices(z.shape)
+def misfit(z: F64, planes: F64) -> Misfit:
+    """A function that turns plane indices (negative: any) and the (rows, columns) of their cells into metres that z is
+    off there; of a whole image of indices without them."""
 
-    def off(labels: I64) -> F64:
-        a, b, c = planes[np.maximum(labels, 0)].transpose(2, 0, 1)
-        return np.abs(z - a * columns - b * rows - c)
+    def off(labels: I64, at: tuple[I64, I64] | None = None) -> F64:
+        rows, columns = np.indices(z.shape) if at is None else at
+        a, b, c = np.moveaxis(planes[np.maximum(labels, 0)], -1, 0)
+        return np.abs(z[rows, columns] - a * columns - b * rows - c)
 
     return off
 
 
-def spread(labels: I64, inside: NDArray[np.bool_], cost: Callable[[I64], F64], outside: F64 | None = None) -> I64:
+def spread(labels: I64, inside: NDArray[np.bool_], cost: Misfit, outside: F64 | None = None) -> I64:
     """Give every cell inside that has no label that of the neighbour which suits it best.
 
-    A blurred edge between two faces is thereby cut half way up, where the true edge is.
+    A blurred edge between two faces is thereby cut half way up, where the true edge is. Only cells beside those that
+    were decided last are looked at: on the ceiling of a corridor, most of the image is decided before it begins.
 
     Args:
         labels: (rows, columns), -1 where unlabelled.
         inside: (rows, columns) cells that want a label.
-        cost: image of labels -> (rows, columns) how ill each suits its cell.
+        cost: how ill labels suit cells (`misfit`).
         outside: (rows, columns) misfit of being no part of this at all, or None where that is no choice. Cells at the
             rim may choose it, and are -1 in the result.
     """
@@ -175,28 +178,27 @@ def spread(labels: I64, inside: NDArray[np.bool_], cost: Callable[[I64], F64], o
         outside = np.where(outside < cost(labels[near[0], near[1]]), outside, np.inf)
     labels = np.pad(labels, 1, constant_values=-1)
     gone = np.pad(~inside, 1, constant_values=True)
-    shifts = ((-1, 0), (1, 0), (0, -1), (0, 1))
-    rows, columns = inside.shape
-    while True:
-        open_ = (labels == -1) & ~gone
-        best = np.full(inside.shape, np.inf)
-        choice = np.full(inside.shape, -2)
-        for dr, dc in shifts:
-            part = (slice(1 + dr, 1 + dr + rows), slice(1 + dc, 1 + dc + columns))
-            neighbour = labels[part]
-            known = neighbour >= 0
-            value = np.where(known & open_[1:-1, 1:-1], cost(neighbour), np.inf)
+    open_ = (labels == -1) & ~gone
+    wide = labels.shape[1]
+    shifts = np.array([-wide, wide, -1, 1])
+    label, left, free = labels.ravel(), gone.ravel(), open_.ravel()  # views of the three
+    beside = np.flatnonzero(ndimage.binary_dilation((labels >= 0) | (gone if outside is not None else False)) & open_)
+    while len(beside):
+        at = beside // wide - 1, beside % wide - 1
+        best, choice = np.full(len(beside), np.inf), np.full(len(beside), -2)
+        for shift in shifts:
+            neighbour = label[beside + shift]
+            value = np.where(neighbour >= 0, cost(neighbour, at), np.inf)
             better = value < best
             best, choice = np.where(better, value, best), np.where(better, neighbour, choice)
             if outside is not None:
-                better = gone[part] & (outside < best)
-                best, choice = np.where(better, outside, best), np.where(better, -1, choice)
-        centre = open_[1:-1, 1:-1]
-        decided = centre & (choice != -2)
-        if not decided.any():
-            return labels[1:-1, 1:-1]
-        labels[1:-1, 1:-1][decided] = choice[decided]
-        gone[1:-1, 1:-1] |= decided & (choice == -1)
+                better = left[beside + shift] & (outside[at] < best)
+                best, choice = np.where(better, outside[at], best), np.where(better, -1, choice)
+        decided, choice = beside[choice != -2], choice[choice != -2]
+        label[decided], left[decided], free[decided] = choice, choice == -1, False
+        beside = np.unique(decided[:, None] + shifts)
+        beside = beside[free[beside]]
+    return labels[1:-1, 1:-1]
 
 
 def _fit(z: F64, where: NDArray[np.bool_]) -> F64:

@@ -56,13 +56,19 @@ def as_geom(name: str, prism: Prism, R: F64 | None = None, origin: F64 | None = 
     Args:
         R, origin: (3, 3) and (3,) where the prism is given in a frame of its own: rotation and place of that frame.
     """
-    R, origin = np.eye(3) if R is None else R, np.zeros(3) if origin is None else origin
     box = _as_box(name, prism)
     if box is None:
-        return Geom(name, "mesh", asset=name), Asset.of_points(name, prism.corners @ R.T + origin)
+        return Geom(name, "mesh", asset=name), Asset.of_points(name, placed(prism, R, origin))
+    R, origin = np.eye(3) if R is None else R, np.zeros(3) if origin is None else origin
     x, y, z = (float(v) for v in R @ box.pos + origin)
     a, b, c, d = (float(v) for v in R_to_quat(R @ quat_to_R(box.quat)))
     return Polytope.of_box(replace(box, pos=(x, y, z), quat=(a, b, c, d))).part(name)
+
+
+def placed(prism: Prism, R: F64 | None = None, origin: F64 | None = None) -> F64:
+    """(2M, 3) corners of a prism of the frame with that rotation and place, in the world."""
+    corners = prism.corners if R is None else prism.corners @ R.T
+    return corners if origin is None else corners + origin
 
 
 def _as_box(name: str, prism: Prism, tolerance: float = 0.005) -> Geom | None:

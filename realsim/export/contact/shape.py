@@ -45,7 +45,7 @@ class Shape:
 
         None where the ground has pits: their walls are made of the whole mesh.
         """
-        if self.pieces is None or (self.pieces.rest is not None and self._dug):
+        if self.pieces is None or not self.pieces.corners or (self.pieces.rest is not None and self._dug):
             return ()
         least = -np.inf if self._dug else self.ground_z + HIDDEN
         return tuple(points for points in self.pieces.corners if points[:, 2].max() > least)
@@ -109,5 +109,15 @@ class Shape:
     @cached_property
     def planar(self) -> tuple[PlanarIsland, ...]:
         """Prisms of every island of `fine`."""
-        found = (planar(self.fine, island) for island in self.fine.islands)
-        return tuple(replace(p, prisms=type(p.prisms)(q for q in p.prisms if not q.flat)) for p in found)
+        return tuple(self.planar_of(n) for n in range(len(self.fine.islands)))
+
+    def planar_of(self, n: int) -> PlanarIsland:
+        """Those of one island."""
+        if n not in self._planar:
+            found = planar(self.fine, self.fine.islands[n])
+            self._planar[n] = replace(found, prisms=tuple(q for q in found.prisms if not q.flat))
+        return self._planar[n]
+
+    @cached_property
+    def _planar(self) -> dict[int, PlanarIsland]:
+        return {}

@@ -15,14 +15,15 @@ from realsim.export.config import SceneConfig
 from realsim.export.contact.base import ContactModel, Geom
 from realsim.export.contact.columns import SHEET
 from realsim.export.contact.outline import convex_parts, outlines
-from realsim.export.contact.patches import Patch, Samples, patches, sampled
+from realsim.export.contact.patches import LEAST, Patch, Samples, patches, sampled
 from realsim.export.contact.polytope import Polytope
-from realsim.export.contact.prisms import Prism, as_contact, as_geom
+from realsim.export.contact.prisms import Prism, as_contact, as_geom, placed
 from realsim.export.contact.probe import Reference
 from realsim.export.contact.seams import overlap
 from realsim.export.contact.shape import Shape
 
 F64 = NDArray[np.float64]
+Slab = tuple[Prism, F64 | None, F64 | None]
 # Set while looking at three real scans (Kinect stairs, a LiDAR room, a phone scan of a chair), FELT also at two more
 # (boxes on a floor, slambook). What `sheets` gains is measured scene by scene against the other representations.
 # FELT and THIN were 12 and 15 mm until the misses on five real captures were looked at. Those five are not fresh data.
@@ -36,6 +37,9 @@ THIN = 0.006  # metres of a sheet that has air behind it, and of one that is upr
 # what is felt does not: outlines are off by FELT at most. Set on a LiDAR room (p95 15.4 to 14.5 mm, 9 % more parts); a
 # corridor that it was not set on keeps its 1.5 mm with 12 % more parts, and below 43 m² nothing changes.
 EDGE, BULGE = 1.0, 1.0
+CLOSED = 0.15  # metres: half the width of a bay in a rim that nothing was seen through
+BUMPS = 1.5  # tolerances that these may stand out
+EDGES = 0.5  # share of a patch's points: where fewer lie off the sheets of others, it is an edge of theirs
 MOST = 300_000  # samples
 
 
@@ -51,10 +55,13 @@ def sheets(shape: Shape, config: SceneConfig) -> ContactModel:
     finest = mesh.resolution / 2 if mesh.noise_m is not None else 0.0
     spacing = max(0.01, finest, float(np.sqrt(area / MOST)))
     samples = sampled(vertices, seen, spacing)
-    solids = [prism for island in shape.planar for prism in island.prisms]
-    kept = [prism for prism in solids if _is_solid(prism, samples)]
-    lost = samples.where(~_felt(samples.points, kept, whole.floor, max(FELT, tolerance)))
-    slabs = [(patch, slab) for patch in patches(lost, tolerance) for slab in _slabs(patch, lost, surface, tolerance)]
+    # Of a ceiling only the underside is known: no solid, but a sheet.
+    below = [n for n, island in enumerate(whole.islands) if island.top_seen > SEEN]
+    solids = [prism for n in below for prism in shape.planar_of(n).prisms]
+    near = max(FELT, tolerance)
+    kept = [prism for prism in solids if _is_solid(prism, samples, near)]
+    lost = samples.where(~_felt(samples.points, kept, whole.floor, near))
+    slabs = _carriers(lost, surface, whole.floor, tolerance)
     # What things land on reaches into what is beside it.
     carrying = [slab[0] for patch, slab in slabs if slab[1] is None and patch.axes[2, 2] > 0]
     solid = overlap(as_contact("sheets", [*kept, *carrying], whole.floor, {}), tolerance)
@@ -68,16 +75,19 @@ def sheets(shape: Shape, config: SceneConfig) -> ContactModel:
     return ContactModel("sheets", geoms, assets, statistics)
 
 
-def _is_solid(prism: Prism, samples: Samples) -> bool:
+def _is_solid(prism: Prism, samples: Samples, near: float) -> bool:
     """Whether at least SEEN of a solid's outside (top and sides) was seen, less what shows air inside it.
 
     A box passes; the block that columns make of a table top, or of half a table, does not.
+
+    Args:
+        near: metres from its faces up to which surface is its own.
     """
     outside = _outer_area(prism)
-    low, high = prism.corners.min(0) - FELT, prism.corners.max(0) + FELT
+    low, high = prism.corners.min(0) - near, prism.corners.max(0) + near
     around = samples.where(((samples.points > low) & (samples.points < high)).all(1))
     part = Polytope(prism.corners)
-    on = np.abs(part.depth(around.points)) < FELT
+    on = np.abs(part.depth(around.points)) < near
     air = part.depth(around.points + FRONT * around.normals) > INSIDE
     return bool(around.area[on].sum() - around.area[air].sum() > SEEN * outside)
 
@@ -106,9 +116,28 @@ def _felt(points: F64, prisms: list[Prism], floor: tuple[Geom, ...], near: float
     return felt
 
 
-def _slabs(
-    patch: Patch, samples: Samples, surface: Reference, tolerance: float
-) -> list[tuple[Prism, F64 | None, F64 | None]]:
+def _carriers(
+    samples: Samples, surface: Reference, floor: tuple[Geom, ...], tolerance: float
+) -> list[tuple[Patch, Slab]]:
+    """Sheets behind all patches, the largest first; not behind the rounded edges and bumps of those before."""
+    near = BUMPS * tolerance
+    found = patches(samples, tolerance)
+    made: list[tuple[Patch, Slab]] = []
+    parts: list[Polytope] = []
+    for k in np.argsort([-samples.area[patch.index].sum() for patch in found], kind="stable"):
+        left = samples.points[found[k].index]
+        left = left[~_felt(left, [], floor, near)]
+        for part in parts:
+            if len(left) and (part.lower <= left.max(0) + near).all() and (part.upper >= left.min(0) - near).all():
+                left = left[~part.contains(left, near)]
+        if len(left) >= max(LEAST, EDGES * len(found[k].index)):
+            slabs = _slabs(found[k], samples, surface, tolerance)
+            made += [(found[k], slab) for slab in slabs]
+            parts += [Polytope(placed(*slab)) for slab in slabs]
+    return made
+
+
+def _slabs(patch: Patch, samples: Samples, surface: Reference, tolerance: float) -> list[Slab]:
     """Convex sheets behind a patch, and the frame that each is given in (rotation and place; None: the world's).
 
     Behind a face is straight below or above it, unless it is upright: a slanting sheet that were as thick along its
@@ -133,11 +162,19 @@ def _slabs(
     normal = patch.axes[2]
     t, cosine, _ = surface.cast(at + 2 * tolerance * normal, np.broadcast_to(-normal, at.shape))
     mask[rows, columns] = (np.abs(t - 2 * tolerance) < 1.5 * tolerance) & (cosine < 0)
+    # A hole that nothing was seen through is no way through either, nor is a dent.
+    rows, columns = np.nonzero(_closed(mask, round(CLOSED / cell)) & ~mask)
+    at = patch.origin + (lower + cell * np.column_stack([columns, rows])) @ patch.axes[:2]
+    t, _, _ = surface.cast(at + 2 * tolerance * normal, np.broadcast_to(-normal, at.shape))
+    mask[rows, columns] = np.isinf(t) | (t < 4 * tolerance)
     facing = 0.0 if abs(normal[2]) < 0.5 else float(np.sign(normal[2]))
     behind = np.array([0.0, 0.0, -facing]) if facing else -normal
     thick = _thickness(points, behind, surface, {-1.0: SHEET, 0.0: THIN, 1.0: THICK}[facing])
     out = []
-    for part in convex_parts(outlines(mask, min(EDGE, max(FELT, tolerance) / cell)), BULGE):
+    edge, bulge = min(EDGE, FELT / cell), BULGE
+    if tolerance > FELT:  # noise moves an outline as it moves a plane
+        edge, bulge = tolerance / cell, 1.5 * tolerance / cell
+    for part in convex_parts(outlines(mask, edge), bulge):
         corners = np.column_stack([lower + cell * part[:, ::-1], np.zeros(len(part))])
         frame: tuple[F64 | None, F64 | None] = (None, None)
         if facing:
@@ -150,6 +187,16 @@ def _slabs(
         z = corners[:, 2]
         out.append((Prism(corners[:, :2], z + thick * (facing < 0), z - thick * (facing >= 0)), *frame))
     return [slab for slab in out if not slab[0].flat]
+
+
+def _closed(mask: NDArray[np.bool_], radius: int) -> NDArray[np.bool_]:
+    """A region without its holes, and without bays in its rim that are narrower than twice `radius` cells."""
+    from scipy import ndimage
+
+    wide = np.pad(mask, radius)
+    far = ndimage.distance_transform_edt(~wide) > radius
+    bays = ndimage.distance_transform_edt(~far) > radius if far.any() else wide
+    return np.asarray(ndimage.binary_fill_holes(wide | bays))[radius:-radius, radius:-radius]
 
 
 def _thickness(points: F64, behind: F64, surface: Reference, most: float) -> float:
