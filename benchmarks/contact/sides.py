@@ -1,22 +1,28 @@
 """Contact from the side and from above, with columns alone (`boxes`, as it was) and as `auto` chooses now.
 
-    python -m benchmarks.contact.sides [--names corridor room] [--real]
+    python -m benchmarks.contact.sides [--names corridor room] [--real] [--large]
 
-The synthetic rooms of `tests/truths/rooms.py`; with --real, the captures in REALSIM_SHARED/real_captures too. Rows go
-to benchmarks/results/sides.json. Rays and heights are those of `realsim/export/contact/fidelity.py`.
+The synthetic rooms of `tests/truths/rooms.py`; with --real, the captures in REALSIM_SHARED/real_captures too; with
+--large, `auto` on the rooms of benchmarks/contact/rooms.py, each in a process of its own, with what it took. Rows go to
+benchmarks/results/sides.json. Rays and heights are those of `realsim/export/contact/fidelity.py`.
 """
 
 from __future__ import annotations
 
 import argparse
+import multiprocessing
 import os
+import resource
 from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+from benchmarks.contact.rooms import LARGE
 from benchmarks.store import Store
 from realsim.core.types import TerrainMesh
+from realsim.export.any_mesh import contact_verdict
 from realsim.export.config import SceneConfig
 from realsim.export.contact.choose import fit_contact
 from tests.truths.rooms import ROOMS
@@ -51,25 +57,45 @@ def rows(name: str, make: Callable[[], tuple[TerrainMesh, float]]) -> Iterator[d
     """Before and after."""
     mesh, ground_z = make()
     for contact in ("boxes", "auto"):
-        fitted = fit_contact(mesh, ground_z, SceneConfig(contact=contact))
-        s = fitted.summary
-        yield {
-            "scene": name,
-            "contact": contact,
-            "chosen": s["representation"],
-            "p95_mm": s["p95_mm"],
-            "heights_off": round(fitted.fidelity.off[0], 4),
-            **{k: s["sides"][k] for k in ("rays", "stopped", "through", "early", "balls", "balls_through")},
-            "leaks": s["leaks"],
-            "geoms": sum(s["geoms"].values()),
-            "steps_per_second": s["steps_per_second"],
-        }
+        yield _row(name, mesh, ground_z, contact)
+
+
+def _row(name: str, mesh: TerrainMesh, ground_z: float, contact: str) -> dict[str, Any]:
+    fitted = fit_contact(mesh, ground_z, SceneConfig(contact=contact))
+    s = fitted.summary
+    return {
+        "scene": name,
+        "contact": contact,
+        "chosen": s["representation"],
+        "p95_mm": s["p95_mm"],
+        "heights_off": round(fitted.fidelity.off[0], 4),
+        **{k: s["sides"][k] for k in ("rays", "stopped", "through", "early", "balls", "balls_through")},
+        "leaks": s["leaks"],
+        "geoms": sum(s["geoms"].values()),
+        "step_cost_vs_plane": s["step_cost_vs_plane"],
+        "steps_per_second": s["steps_per_second"],
+        "verdict": contact_verdict(s | {"hidden_cm2": 0.0}, SceneConfig().contact_tolerance)["level"],
+    }
+
+
+def large(name: str) -> dict[str, Any]:
+    """A room at its real size, with seconds of the processor and gigabytes at most, reading the mesh included."""
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        return pool.submit(_used, name, LARGE[name]()).result()
+
+
+def _used(name: str, mesh: TerrainMesh) -> dict[str, Any]:
+    row = _row(name, mesh, 0.0, "auto")
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    took = {"cpu_s": round(used.ru_utime + used.ru_stime, 1), "peak_gb": round(used.ru_maxrss / 1e6, 2)}
+    return row | {"triangles": len(mesh.triangles)} | took
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--names", nargs="*", help="scenes; all if not given")
     parser.add_argument("--real", action="store_true", help="the real captures too")
+    parser.add_argument("--large", action="store_true", help="only the rooms at their real size")
     args = parser.parse_args()
     scenes: dict[str, Callable[[], tuple[TerrainMesh, float]]] = {
         name: partial(lambda make: (make(), 0.0), make) for name, make in ROOMS.items()
@@ -77,8 +103,8 @@ def main() -> None:
     if args.real:
         scenes |= {name: partial(captured, name) for name in REAL if (SHARED / "real_captures" / name).exists()}
     store = Store(ROOT / "benchmarks" / "results" / "sides.json", ("scene", "contact"))
-    for name in args.names or scenes:
-        for row in rows(name, scenes[name]):
+    for name in args.names or (LARGE if args.large else scenes):
+        for row in [large(name)] if name in LARGE else rows(name, scenes[name]):
             store.add(row)
             print("  ".join(f"{key} {value}" for key, value in row.items()), flush=True)
 

@@ -12,8 +12,8 @@ from realsim.core.types import TerrainMesh
 from realsim.export.any_mesh import contact_verdict
 from realsim.export.contact.boxes import boxes
 from realsim.export.contact.choose import fit_contact
-from realsim.export.contact.fidelity import OFF, measure
-from realsim.export.contact.patches import patches, sampled
+from realsim.export.contact.fidelity import OFF, lowest_near, measure
+from realsim.export.contact.patches import noise_of, patches, sampled
 from realsim.export.contact.probe import BALL, Reference, SimTouch, spec_of
 from realsim.export.contact.shape import Shape
 from realsim.export.contact.sheets import sheets
@@ -132,3 +132,42 @@ def test_patches_of_a_box_are_its_faces() -> None:
         assert np.linalg.det(patch.axes) > 0
         assert np.abs((samples.points[patch.index] - patch.origin) @ patch.axes[2]).max() < 0.005
         assert (samples.normals[patch.index] @ patch.axes[2] > 0.8).all()
+
+
+@pytest.mark.parametrize("seen_through", [False, True])
+def test_a_hole_is_a_way_through_where_something_was_seen_behind_it(seen_through: bool) -> None:
+    """What no camera saw may be missing from a wall; a window that one looked through is open."""
+    ends = np.linspace(-1, 1, 21)
+    low, high = [v.ravel() for v in np.meshgrid(ends[:-1], ends[:-1])], 0.1
+    quads = [
+        _quad([[0, y + high, z + 1], [0, y, z + 1], [0, y, z + 1 + high], [0, y + high, z + 1 + high]])
+        for y, z in zip(*low, strict=True)
+        if max(abs(y + high / 2), abs(z + high / 2)) > 0.2
+    ]
+    quads.append(_quad([[-2, -2, 0], [2, -2, 0], [2, 2, 0], [-2, 2, 0]]))
+    if seen_through:
+        quads.append(_quad([[1, 1, 0], [1, -1, 0], [1, -1, 2], [1, 1, 2]]))
+    triangles = np.concatenate([t + 4 * k for k, (_, t, _, _) in enumerate(quads)]).astype(np.int32)
+    vertices = np.concatenate([v for v, *_ in quads])
+    mesh = TerrainMesh(vertices, triangles, None, np.zeros(len(triangles), bool), ROOMS["table"]().quality, "", 0.0)
+    touch = SimTouch(spec_of(sheets(Shape(mesh, 0.0), CONFIG)), BALL, batch=2)
+    hole, wall = touch.clearance(np.array([[0, 0, 1.0], [0, 0.6, 1.0]]), np.tile(FACING_UP, (2, 1)))
+    assert wall < 0
+    assert (hole > 0) == seen_through
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.004])
+def test_the_noise_of_a_scan_is_that_of_its_walls(noise: float) -> None:
+    """Three walls of a corner, which is no noise."""
+    rng = np.random.default_rng(0)
+    points = rng.uniform(0, 3, (30_000, 3))
+    wall = np.arange(len(points)) % 3
+    points[np.arange(len(points)), wall] = rng.normal(0, noise, len(points)) if noise else 0.0
+    assert noise_of(points) == pytest.approx(noise, rel=0.1, abs=1e-9)
+
+
+def test_a_hole_in_a_ceiling_is_no_place_to_come_from() -> None:
+    """Balls are lowered from below it there too: what closes the hole spans no gap."""
+    above = np.array([np.inf, 2.5, np.inf])
+    near = lowest_near(np.array([[0.0, 0.0], [0.5, 0.0], [5.0, 0.0]]), above)
+    np.testing.assert_array_equal(near, [2.5, 2.5, np.inf])

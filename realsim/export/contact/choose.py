@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.core.errors import UnknownNameError
+from realsim.core.meshes import areas
 from realsim.core.progress import steps
 from realsim.core.types import TerrainMesh
 from realsim.export.config import SceneConfig
@@ -18,6 +19,8 @@ from realsim.export.contact.base import ContactModel
 from realsim.export.contact.convex import TooManyColumnsError
 from realsim.export.contact.cost import standing_place, step_cost
 from realsim.export.contact.fidelity import OFF, Fidelity, measure
+from realsim.export.contact.islands import FINE
+from realsim.export.contact.patches import noise_of
 from realsim.export.contact.probe import Reference, spec_of
 from realsim.export.contact.shape import Shape, Solids
 
@@ -74,6 +77,10 @@ def fit_contact(
             {"representation": name, "refused": f"columns hold {carried:.0%} of the side faces"} for name in OF_COLUMNS
         ]
         names = tuple(name for name in names if name not in OF_COLUMNS)
+        noise = noise_of(mesh.vertices)
+        if mesh.noise_m is None and 2 * noise > FINE:  # walls with one side are a scan's: it is as noisy as it shows
+            mesh = replace(mesh, noise_m=noise, resolution=_mean_edge(mesh))
+            shape = Shape(mesh, ground_z, shape.pieces)
     with steps() as tick:
         for name in names:
             tick(f"building {name}", 0.0)
@@ -92,7 +99,7 @@ def fit_contact(
                 probes=config.contact_probes,
                 tick=measured,
                 bare=bare,
-                noise=mesh.noise_m or 0.0,
+                noise=_uncertain(mesh),
             )
             tried.append((contact, fidelity))
             if fidelity.meets(*config.contact_tolerance):
@@ -114,6 +121,17 @@ def fit_contact(
     summary = {"representation": contact.representation} | dict(fidelity.figures) | cost
     summary |= {"geoms": count_types(contact), "considered": considered} | dict(contact.statistics)
     return Fitted(contact, fidelity, summary, warnings)
+
+
+def _uncertain(mesh: TerrainMesh) -> float:
+    """Metres that the surface itself may be off: its noise, and where voxels round an inner edge, half of one."""
+    return 0.0 if mesh.noise_m is None else max(mesh.noise_m, mesh.resolution / 2)
+
+
+def _mean_edge(mesh: TerrainMesh) -> float:
+    """Metres between the vertices of a surface, if its triangles had one size."""
+    area = areas(mesh.vertices, mesh.triangles)
+    return float(np.sqrt(4 / np.sqrt(3) * area.mean()))
 
 
 def _shares(fidelity: Fidelity) -> dict[str, float | None]:

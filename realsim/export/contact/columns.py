@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from realsim.export.contact.rays import Rays
 F64 = NDArray[np.float64]
 F32 = NDArray[np.float32]
 MAX_CELLS = 4_000_000
+AT_ONCE = 500_000  # cells: all rays of a large grid at once would take a gigabyte
 MAX_LAYERS = 8
 NARROW = 0.02  # metres: a gap lower than this is closed, nothing that matters fits in
 SHEET = 0.01  # metres: the least that holds up what falls on it
@@ -70,30 +72,47 @@ def columns(mesh: TerrainMesh, ground_z: float, cell: float) -> Columns:
     cell = max(cell, float(np.sqrt((upper - lower)[:2].prod() / MAX_CELLS)))
     counts = np.maximum(np.ceil((upper - lower)[:2] / cell).astype(int), 1)
     origin = lower[:2] + ((upper - lower)[:2] - (counts - 1) * cell) / 2
-    x, y = np.meshgrid(origin[0] + cell * np.arange(counts[0]), origin[1] + cell * np.arange(counts[1]))
-    ray, z, up, seen = crossings(mesh, x.ravel(), y.ravel(), float(upper[2]) + 1)
-    top, bottom, above, below = _tidy(*_intervals(ray, z, up, x.size), ground_z)
-    shape = (len(top), counts[1], counts[0])
-    # Of -1: not seen; nor is the top of a sheet of which the underside was.
-    top_seen, bottom_seen = np.append(seen & up, False)[above], np.append(seen, False)[below]
+    rays, strips = Rays(mesh.vertices, mesh.triangles), []
+    rows = max(1, AT_ONCE // counts[0])
+    for row in range(0, counts[1], rows):
+        y, x = np.meshgrid(np.arange(row, min(row + rows, counts[1])), np.arange(counts[0]), indexing="ij")
+        at = origin[0] + cell * x.ravel(), origin[1] + cell * y.ravel()
+        ray, z, up, seen = crossings(mesh, *at, float(upper[2]) + 1, rays)
+        top, bottom, above, below = _tidy(*_intervals(ray, z, up, x.size), ground_z)
+        # Of -1: not seen; nor is the top of a sheet of which the underside was.
+        made = top, np.append(seen & up, False)[above], bottom, np.append(seen, False)[below]
+        strips.append([values.reshape(-1, *x.shape) for values in made])
+    layers = max(len(strip[0]) for strip in strips)
+    nothing = np.nan, False, -np.inf, False
     return Columns(
-        origin, cell, top.reshape(shape), top_seen.reshape(shape), bottom.reshape(shape), bottom_seen.reshape(shape)
+        origin,
+        cell,
+        *(
+            np.concatenate([_in_layers(strip[k], layers, nothing[k]) for strip in strips], axis=1)
+            for k in range(len(nothing))
+        ),
     )
 
 
+def _in_layers(values: NDArray[Any], layers: int, nothing: float) -> NDArray[Any]:
+    """(layers, rows, columns) of fewer layers (L, rows, columns): what lies below is nothing."""
+    return np.pad(values, ((0, layers - len(values)), (0, 0), (0, 0)), constant_values=nothing)
+
+
 def crossings(
-    mesh: TerrainMesh, x: F64, y: F64, above: float
+    mesh: TerrainMesh, x: F64, y: F64, above: float, rays: Rays | None = None
 ) -> tuple[NDArray[np.int64], F64, NDArray[np.bool_], NDArray[np.bool_]]:
     """All crossings of downward rays, by ray and then from above: (ray, z, faces up, was measured).
 
     Args:
         x, y: (M,) metres, one ray each.
         above: z to start at, metres.
+        rays: the mesh's caster, if it is made already.
     """
     corners = mesh.vertices[mesh.triangles]
     faces_up = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2] > 0
     start = np.column_stack([x, y, np.full(len(x), above)])
-    rays = Rays(mesh.vertices, mesh.triangles)
+    rays = rays or Rays(mesh.vertices, mesh.triangles)
     ray, t, triangle = rays.all_hits(start, np.broadcast_to([0.0, 0.0, -1.0], start.shape))
     order = np.lexsort((t, ray))
     ray, z, triangle = ray[order], above - t[order], triangle[order]

@@ -193,7 +193,7 @@ class _Compare:
         ceiling (a hole in it, the end of its walls) too: nothing comes from above it."""
         highest = region.top + self.reach + 0.05
         above = self.reference.start_above(xy, region.bottom)
-        above = np.minimum(above, _lowest_near(xy, above))
+        above = np.minimum(above, lowest_near(xy, above))
         z = np.minimum(above - self.reach - 0.05, highest)
         free = (z == highest) | (z - self.reach > np.nan_to_num(self.reference.top(xy, z), nan=-np.inf) + 0.01)
         start, quats = np.column_stack([xy, z])[free], quats[free]
@@ -228,7 +228,7 @@ class _Compare:
         return Touches(start, np.where(touched, early - late, np.nan), np.where(touched, along, np.nan), at_sim, normal)
 
 
-def _lowest_near(xy: F64, above: F64) -> F64:
+def lowest_near(xy: F64, above: F64) -> F64:
     """(M,) the least of the finite values of `above` (M,) at the points (M, 2) within BESIDE; inf where none is."""
     from scipy.spatial import cKDTree
 

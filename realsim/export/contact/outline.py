@@ -76,7 +76,7 @@ def _line(points: F64) -> tuple[F64, F64]:
     do not count."""
     inner = points[2:-2] if len(points) > 8 else points
     middle = inner.mean(0)
-    direction = np.linalg.svd(inner - middle)[2][0] if len(inner) > 1 else points[-1] - points[0]
+    direction = np.linalg.svd(inner - middle, full_matrices=False)[2][0] if len(inner) > 1 else points[-1] - points[0]
     return middle, direction
 
 

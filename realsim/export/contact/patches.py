@@ -14,6 +14,7 @@ I64 = NDArray[np.int64]
 NEIGHBOURS = 12
 ALIKE = 0.8  # least cosine between a point's normal and its patch's
 LEAST = 5  # points: fewer are no patch
+FLAT, PLACES = 0.3, 500  # metres about a place in which walls and floors are flat; vertices that are looked at
 FITS = 3  # times a plane is fitted to what it took
 
 
@@ -92,6 +93,20 @@ def patches(samples: Samples, tolerance: float) -> list[Patch]:
     return found
 
 
+def noise_of(vertices: F64, seed: int = 0) -> float:
+    """Metres that the vertices (V, 3) of a scan lie off planes: the RMS about the plane of what is within FLAT of a
+    vertex, in the lower quartile of PLACES of them, because most of a place is flat; 0 where they are far apart."""
+    from scipy.spatial import cKDTree
+
+    rng = np.random.default_rng(seed)
+    places = vertices[rng.choice(len(vertices), min(PLACES, len(vertices)), replace=False)]
+    off = []
+    for near in cKDTree(vertices).query_ball_point(places, FLAT):
+        least = np.linalg.eigvalsh(np.cov(vertices[near].T))[0] if len(near) >= NEIGHBOURS else 0.0
+        off.append(np.sqrt(max(least, 0.0)))
+    return float(np.percentile(off, 25))
+
+
 def _roughness(P: F64, N: F64, tree: object) -> F64:
     """(M,) how far from alike the normals around each point are."""
     _, near = tree.query(P, k=min(NEIGHBOURS, len(P)))  # type: ignore[attr-defined]
@@ -110,7 +125,10 @@ def _grown(
     radius = 3 * reach
     plane = (P[seed], N[seed])
     near = np.array(tree.query_ball_point(P[seed], reach), dtype=np.int64)  # type: ignore[attr-defined]
-    plane = _fitted(P, N, near[free[near] & (N[near] @ N[seed] > ALIKE)], plane)
+    near = near[free[near] & (N[near] @ N[seed] > ALIKE)]
+    if len(near) < LEAST:  # the rest of what others took
+        return near[:0], plane
+    plane = _fitted(P, N, near, plane)
     while True:
         near = np.array(sorted(tree.query_ball_point(P[seed], radius)), dtype=np.int64)  # type: ignore[attr-defined]
         near = near[free[near]]

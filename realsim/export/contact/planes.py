@@ -38,7 +38,8 @@ def segment(z: F64, cell: float, tolerance: float, narrowest: int = 1) -> tuple[
     tried = 0
     for window in WINDOWS:
         smooth = free & (_roughness(np.where(free, z, np.nan), cell, window) < tolerance / 2)
-        while tried < MOST_SEEDS and (seed := _widest(smooth)) is not None:
+        depth = _depth(smooth)
+        while tried < MOST_SEEDS and (seed := _deepest(depth)) is not None:
             tried += 1
             part, taken = _grown(z, free, *seed, cell, tolerance)
             plane = _fit(z[part], taken)
@@ -49,27 +50,44 @@ def segment(z: F64, cell: float, tolerance: float, narrowest: int = 1) -> tuple[
                 free[part] &= ~taken
             smooth[part] &= ~taken  # whether it became a plane or not, it is no seed any more
             smooth[seed[0]] = False
+            _shallower(depth, smooth, part)
     return labels, np.array(planes).reshape(-1, 3)
 
 
 def _is_edge(taken: NDArray[np.bool_], plane: F64, cell: float, narrowest: int) -> bool:
     """A tilted strip narrower than `narrowest` cells is a rounded edge; one steeper than 75 degrees and at most three
     cells wide is a scanned wall. Both are better cut upright than kept as planes."""
-    seed = _widest(taken)
+    seed = _deepest(_depth(taken))
     assert seed is not None
     width, steep = 2 * seed[1] - 1, _steepness(plane, cell)
     return (width < narrowest and steep < np.cos(np.radians(10))) or (width <= 3 and steep < np.cos(np.radians(75)))
 
 
-def _widest(mask: NDArray[np.bool_]) -> tuple[tuple[int, int], int] | None:
-    """(the cell that is farthest from the mask's rim, how far in cells), None for an empty mask."""
+def _depth(mask: NDArray[np.bool_]) -> NDArray[np.int32]:
+    """(rows, columns) cells from each cell of a mask to its rim; 0 outside."""
     from scipy import ndimage
 
-    if not mask.any():
-        return None
-    depth = ndimage.distance_transform_cdt(np.pad(mask, 1), "chessboard")[1:-1, 1:-1]
+    return np.asarray(ndimage.distance_transform_cdt(np.pad(mask, 1), "chessboard")[1:-1, 1:-1], np.int32)
+
+
+def _deepest(depth: NDArray[np.int32]) -> tuple[tuple[int, int], int] | None:
+    """(the cell that is farthest from a mask's rim, how far in cells), None for an empty mask."""
     row, column = np.unravel_index(int(np.argmax(depth)), depth.shape)
-    return (int(row), int(column)), int(depth[row, column])
+    return ((int(row), int(column)), int(depth[row, column])) if depth[row, column] else None
+
+
+def _shallower(depth: NDArray[np.int32], mask: NDArray[np.bool_], window: Window) -> None:
+    """Depths of a mask anew, in place, of which cells in a window have gone: nothing changes farther off than the
+    greatest depth, and nothing beyond twice that matters."""
+    reach = int(depth.max())
+    near, around = (
+        [(max(w.start - k * reach, 0), min(w.stop + k * reach, n)) for w, n in zip(window, depth.shape, strict=True)]
+        for k in (1, 2)
+    )
+    (r0, r1), (c0, c1) = near
+    (top, _), (left, _) = around
+    anew = _depth(mask[tuple(slice(*ends) for ends in around)])
+    depth[r0:r1, c0:c1] = anew[r0 - top : r1 - top, c0 - left : c1 - left]
 
 
 def _grown(
