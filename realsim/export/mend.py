@@ -25,6 +25,7 @@ from realsim.core.meshes import (
 from realsim.core.objfile import parse_obj
 from realsim.core.types import MeshQuality, TerrainMesh
 from realsim.export.contact.columns import check_extent, crossings
+from realsim.export.contact.probe import CEILING
 from realsim.export.pieces import convex_solids, without_twins
 from realsim.export.unite import united
 from realsim.export.up import Up, find_up, y_to_z
@@ -244,7 +245,8 @@ def _usable(vertices: F64, triangles: NDArray[Any], notes: list[str]) -> tuple[F
 
 
 def _from_above(mesh: TerrainMesh) -> tuple[bool, bool]:
-    """(whether most of what is seen from above faces down, whether solids overlap), by a grid of rays.
+    """(whether most of what is seen from above faces down, whether solids overlap), by a grid of rays. A ceiling over
+    a floor is looked through: a room is no solid inside out.
 
     Raises:
         ExportError: nothing is seen from above.
@@ -256,7 +258,10 @@ def _from_above(mesh: TerrainMesh) -> tuple[bool, bool]:
     if not len(ray):
         raise ExportError("the mesh has no surface to stand on", found="no surface that is seen from above")
     first = np.r_[True, np.diff(ray) != 0]
-    inside_out = bool(up[first].mean() < 0.5)
+    at = np.flatnonzero(first)
+    below = np.minimum(at + 1, len(ray) - 1)
+    room = ~up[at] & up[below] & (ray[below] == ray[at]) & (z[at] - z[below] > CEILING)
+    inside_out = bool((up[at] | room).mean() < 0.5)
     # Two ways in, one after the other, and a while until the next crossing: the ray is in two solids at once. (Where a
     # box stands on a floor, one ends where the other begins.)
     into = up != inside_out

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.core.meshes import connected, edges_of, faces_by_place, linked
+from realsim.export.contact.probe import CEILING
 
 
 def turn_stray(vertices: NDArray[np.float64], triangles: NDArray[np.int32]) -> tuple[NDArray[np.int32], int]:
@@ -43,7 +44,8 @@ def turn_stray(vertices: NDArray[np.float64], triangles: NDArray[np.int32]) -> t
 def turn_closed(vertices: NDArray[np.float64], triangles: NDArray[np.int32]) -> tuple[NDArray[np.int32], int]:
     """Triangles of closed pieces facing out, where they all faced in: (triangles (K, 3), how many pieces were turned).
 
-    A hollow in a solid is turned as well, and is then full: nothing outside can touch it.
+    A hollow in a solid is turned as well, and is then full: nothing outside can touch it. A room that one can stand in,
+    with another piece in it, is none.
 
     Args:
         vertices: (V, 3) metres; those at the same place count as one. triangles: (K, 3).
@@ -57,5 +59,11 @@ def turn_closed(vertices: NDArray[np.float64], triangles: NDArray[np.int32]) -> 
     corners = vertices[triangles] - vertices.mean(0)
     volume = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6
     inward = closed & (np.bincount(piece, volume, count) < -1e-9)
+    lower, upper = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    np.minimum.at(lower, piece, corners.min(1))
+    np.maximum.at(upper, piece, corners.max(1))
+    for k in np.flatnonzero(inward & ((upper - lower)[:, 2] > CEILING)):
+        within = ((lower >= lower[k]) & (upper <= upper[k])).all(1)
+        inward[k] = within.sum() == 1  # itself
     out = np.where(inward[piece][:, None], triangles[:, ::-1], triangles)
     return np.ascontiguousarray(out, np.int32), int(inward.sum())

@@ -17,6 +17,7 @@ from realsim.export.contact.patches import noise_of, patches, sampled
 from realsim.export.contact.probe import BALL, Reference, SimTouch, spec_of
 from realsim.export.contact.shape import Shape
 from realsim.export.contact.sheets import sheets
+from realsim.export.mend import mend
 from tests.export.measured import CONFIG, FACING_UP
 from tests.truths.rooms import ROOMS
 from tests.truths.solids import terrain
@@ -171,3 +172,12 @@ def test_a_hole_in_a_ceiling_is_no_place_to_come_from() -> None:
     above = np.array([np.inf, 2.5, np.inf])
     near = lowest_near(np.array([[0.0, 0.0], [0.5, 0.0], [5.0, 0.0]]), above)
     np.testing.assert_array_equal(near, [2.5, 2.5, np.inf])
+
+
+def test_a_room_is_not_turned_inside_out() -> None:
+    """Its ceiling faces down, as the top of a solid does that was exported the wrong way round."""
+    room = ROOMS["room"]()
+    mended = mend(room.vertices, room.triangles)
+    assert not any("inside out" in note for note in mended.notes)
+    solid = terrain("stairs")
+    assert any("inside out" in note for note in mend(solid.vertices, solid.triangles[:, ::-1]).notes)

@@ -34,6 +34,8 @@ class PlanarIsland:
     """An island described by planes."""
 
     prisms: tuple[Prism, ...]
+    region: tuple[int, ...]
+    """Which piece of the island, of one top and one underside, each prism is a part of."""
     misfit: float
     """95th percentile of the distance between the island's top and its planes, metres; rounded edges do not count."""
 
@@ -75,7 +77,7 @@ def planar(whole: Terrain, island: Island) -> PlanarIsland:
     bottoms = np.where(raised, np.where(bottoms >= 0, bottoms + 1, -1), np.where(inside, 0, -1))
     bottom_planes = np.concatenate([[[0.0, 0.0, base]], bottom_planes])
     if not len(top_planes):
-        return PlanarIsland((), 0.0)
+        return PlanarIsland((), (), 0.0)
     top_cost, bottom_cost = misfit(z, top_planes), misfit(under, bottom_planes)
     # What is farther from the rim than an edge is wide is no edge: it stays, however badly the planes suit it.
     depth = ndimage.distance_transform_cdt(np.pad(inside, 1), "chessboard")[1:-1, 1:-1]
@@ -88,7 +90,7 @@ def planar(whole: Terrain, island: Island) -> PlanarIsland:
     pairs = _without_crumbs(pairs, len(bottom_planes), top_cost, bottom_cost)
     inner = ndimage.binary_erosion(inside, iterations=whole.narrowest // 2)
     inner = inner if inner.any() else inside
-    out: list[Prism] = []
+    out: list[list[Prism]] = []
     off = np.zeros(0)
     width = len(bottom_planes)
     places = ndimage.find_objects(np.where(pairs >= 0, pairs // width, -1) + 1)
@@ -105,10 +107,12 @@ def planar(whole: Terrain, island: Island) -> PlanarIsland:
         if len(regions) > 1:
             regions = _decked(regions, of_top, level - below)
         for region in regions:
-            out += region.prisms(whole, island, z, under)
+            out.append([prism for prism in region.prisms(whole, island, z, under) if not prism.flat])
         steep = np.hypot(1, np.hypot(*top_planes[t][:2]) / cell)
         off = np.append(off, np.abs(height - level)[of_top & inner[place]] / steep)
-    return PlanarIsland(tuple(out), float(np.percentile(off, 95)) if len(off) else 0.0)
+    prisms = tuple(prism for region in out for prism in region)
+    of = tuple(k for k, region in enumerate(out) for _ in region)
+    return PlanarIsland(prisms, of, float(np.percentile(off, 95)) if len(off) else 0.0)
 
 
 def _decked(regions: list[_Region], of_top: NDArray[np.bool_], thick: F64) -> list[_Region]:

@@ -114,8 +114,7 @@ class Shape:
     def planar_of(self, n: int) -> PlanarIsland:
         """Those of one island."""
         if n not in self._planar:
-            found = planar(self.fine, self.fine.islands[n])
-            self._planar[n] = replace(found, prisms=tuple(q for q in found.prisms if not q.flat))
+            self._planar[n] = planar(self.fine, self.fine.islands[n])
         return self._planar[n]
 
     @cached_property

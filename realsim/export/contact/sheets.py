@@ -56,10 +56,14 @@ def sheets(shape: Shape, config: SceneConfig) -> ContactModel:
     spacing = max(0.01, finest, float(np.sqrt(area / MOST)))
     samples = sampled(vertices, seen, spacing)
     # Of a ceiling only the underside is known: no solid, but a sheet.
-    below = [n for n, island in enumerate(whole.islands) if island.top_seen > SEEN]
-    solids = [prism for n in below for prism in shape.planar_of(n).prisms]
+    below = [shape.planar_of(n) for n, island in enumerate(whole.islands) if island.top_seen > SEEN]
     near = max(FELT, tolerance)
-    kept = [prism for prism in solids if _is_solid(prism, samples, near)]
+    solids = [
+        [prism for prism, of in zip(found.prisms, found.region, strict=True) if of == k]
+        for found in below
+        for k in sorted(set(found.region))
+    ]
+    kept = [prism for parts in solids if _is_solid(parts, samples, near) for prism in parts]
     lost = samples.where(~_felt(samples.points, kept, whole.floor, near))
     slabs = _carriers(lost, surface, whole.floor, tolerance)
     # What things land on reaches into what is beside it.
@@ -69,36 +73,45 @@ def sheets(shape: Shape, config: SceneConfig) -> ContactModel:
     made = [as_geom(f"sheet_{k}", *slab) for k, slab in enumerate(others)]
     geoms = (*solid.geoms, *(geom for geom, _ in made))
     assets = (*solid.assets, *(asset for _, asset in made if asset is not None))
-    counts = {"solids": len(kept), "solids_left_out": len(solids) - len(kept), "sheets": len(slabs)}
+    counts = {"solids": len(kept), "solids_left_out": sum(map(len, solids)) - len(kept), "sheets": len(slabs)}
     counts |= {"seams": solid.statistics["seams"], "parts": len(geoms) - len(whole.floor)}
     statistics = whole.statistics | counts
     return ContactModel("sheets", geoms, assets, statistics)
 
 
-def _is_solid(prism: Prism, samples: Samples, near: float) -> bool:
-    """Whether at least SEEN of a solid's outside (top and sides) was seen, less what shows air inside it.
+def _is_solid(prisms: list[Prism], samples: Samples, near: float) -> bool:
+    """Whether at least SEEN of the outside (top and sides) of a solid was seen, less what shows air inside it.
 
     A box passes; the block that columns make of a table top, or of half a table, does not.
 
     Args:
+        prisms: what it is made of.
         near: metres from its faces up to which surface is its own.
     """
-    outside = _outer_area(prism)
-    low, high = prism.corners.min(0) - near, prism.corners.max(0) + near
+    corners = np.concatenate([prism.corners for prism in prisms])
+    low, high = corners.min(0) - near, corners.max(0) + near
     around = samples.where(((samples.points > low) & (samples.points < high)).all(1))
-    part = Polytope(prism.corners)
-    on = np.abs(part.depth(around.points)) < near
-    air = part.depth(around.points + FRONT * around.normals) > INSIDE
-    return bool(around.area[on].sum() - around.area[air].sum() > SEEN * outside)
+    on, air = np.zeros((2, len(around.points)), bool)
+    for part in [Polytope(prism.corners) for prism in prisms]:
+        on |= np.abs(part.depth(around.points)) < near
+        air |= part.depth(around.points + FRONT * around.normals) > INSIDE
+    return bool(around.area[on].sum() - around.area[air].sum() > SEEN * _outer_area(prisms))
 
 
-def _outer_area(prism: Prism) -> float:
-    """m^2 of top and sides."""
-    x, y = prism.outline.T
-    plan = 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
-    length = np.linalg.norm(np.roll(prism.outline, -1, axis=0) - prism.outline, axis=1)
-    height = prism.top - prism.bottom
-    return plan + float((length * (height + np.roll(height, -1)) / 2).sum())
+def _outer_area(prisms: list[Prism]) -> float:
+    """m^2 of top and sides, without sides at which another of the prisms goes on."""
+    parts = [Polytope(prism.corners) for prism in prisms]
+    total = 0.0
+    for prism in prisms:
+        x, y = prism.outline.T
+        side = np.roll(prism.outline, -1, axis=0) - prism.outline
+        length, height = np.linalg.norm(side, axis=1), prism.top - prism.bottom
+        out = INSIDE * np.column_stack([side[:, 1], -side[:, 0]]) / np.maximum(length, 1e-12)[:, None]
+        beside = np.column_stack([prism.outline + side / 2 + out, (prism.top + prism.bottom) / 2])
+        free = ~np.any([part.contains(beside) for part in parts], axis=0)
+        total += 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
+        total += float((free * length * (height + np.roll(height, -1)) / 2).sum())
+    return total
 
 
 def _felt(points: F64, prisms: list[Prism], floor: tuple[Geom, ...], near: float) -> NDArray[np.bool_]:
