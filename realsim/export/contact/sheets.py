@@ -175,12 +175,12 @@ def _slabs(patch: Patch, samples: Samples, surface: Reference, tolerance: float)
     normal = patch.axes[2]
     t, cosine, _ = surface.cast(at + 2 * tolerance * normal, np.broadcast_to(-normal, at.shape))
     mask[rows, columns] = (np.abs(t - 2 * tolerance) < 1.5 * tolerance) & (cosine < 0)
-    # A hole that nothing was seen through is no way through either, nor is a dent.
+    facing = 0.0 if abs(normal[2]) < 0.5 else float(np.sign(normal[2]))
+    # A dent is no way through, nor a hole in a wall that nothing was seen through; but a foot gets what was seen alone.
     rows, columns = np.nonzero(_closed(mask, round(CLOSED / cell)) & ~mask)
     at = patch.origin + (lower + cell * np.column_stack([columns, rows])) @ patch.axes[:2]
     t, _, _ = surface.cast(at + 2 * tolerance * normal, np.broadcast_to(-normal, at.shape))
-    mask[rows, columns] = np.isinf(t) | (t < 4 * tolerance)
-    facing = 0.0 if abs(normal[2]) < 0.5 else float(np.sign(normal[2]))
+    mask[rows, columns] = (np.isinf(t) & (facing <= 0)) | (t < 4 * tolerance)
     behind = np.array([0.0, 0.0, -facing]) if facing else -normal
     thick = _thickness(points, behind, surface, {-1.0: SHEET, 0.0: THIN, 1.0: THICK}[facing])
     out = []
