@@ -97,6 +97,8 @@ PARTS = (1.0, 0.5, 0.25)
 """Shares of a step of the everyday deviations that are tried, until the simulation comes nearer. Budget."""
 WIDE = 0.1
 """Share of a step over which slopes are taken: wide differences see through sticking friction."""
+AT_ONCE = 4
+"""Neighbours of a set that are fitted at once, each on a core, after the most promising one. Budget."""
 PACES = 6.0
 """A fit ends where this many more steps as good as the last would not reach its target. Budget."""
 SWITCHED = 0.5

@@ -16,9 +16,10 @@ from realsim.gap.effects.lookup import lookup
 from realsim.gap.figures import BRIEF, CAUSE, CAUSE_A_JOINT, CLEARLY, SHARE
 from realsim.gap.inference.causes.fit import Cause, Fitter
 from realsim.gap.inference.causes.fitted import at_bound
+from realsim.gap.inference.causes.gauss_newton import Rough
 from realsim.gap.inference.causes.leftover import leftover
 from realsim.gap.inference.causes.proposals import by_slopes, ranked
-from realsim.gap.inference.causes.score import asked, doubts, score
+from realsim.gap.inference.causes.score import asked, doubts, score, searched
 from realsim.gap.inference.causes.search import Search
 from realsim.gap.inference.causes.windows import _best_window
 from realsim.gap.inference.likelihood.comparison import Comparison
@@ -85,6 +86,20 @@ def test_the_last_results_are_kept_and_no_more() -> None:
         assert recent.get(key, lambda key=key: made.append(key) or ord(key)) == ord(key)
     assert made == ["a", "b", "c", "b"]
     assert recent.made == 4
+
+
+def test_a_rough_look_sees_a_set_as_it_is_and_how_its_neighbours_differ(fitter: Fitter, monkeypatch) -> None:
+    monkeypatch.setattr(fitter.screen, "varied", (0, 2))
+    here = fitter.looked_at(fitter.nominal(), (_cause(fitter, "motor_gain", -0.1),))
+    assert here is not None
+    near, exact = fitter.rough(here), Rough((0, 2))
+    assert near is not None
+    assert near.added
+    assert fitter.misfit(here.causes, near) == pytest.approx(fitter.misfit(here.causes, exact))
+    assert fitter.misfit(here.causes, near) == pytest.approx(searched(fitter.screen, here))
+    there = (_cause(fitter, "motor_gain", -0.2),)
+    gains = [fitter.misfit(here.causes, look) - fitter.misfit(there, look) for look in (near, exact)]
+    assert gains[0] == pytest.approx(gains[1], rel=0.05)
 
 
 def test_of_causes_that_do_the_same_the_one_at_fewer_places_comes_first(fitter: Fitter) -> None:

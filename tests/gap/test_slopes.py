@@ -26,7 +26,7 @@ from tests.truths.diagnosis.robots import ROBOTS
 from tests.truths.diagnosis.truth import Truth as TrueRobot
 
 from .test_recovery import logged
-from .truth import FINE, Truth
+from .truth import ARM, FINE, Truth
 
 CONFIG = DiagnoseConfig(threads=1, settle_seconds=0.3)
 
@@ -163,6 +163,36 @@ def test_what_does_nothing_beside_a_cause_explains_nothing_there(arm: Case) -> N
         assert np.abs(screen.columns(k, [other])).max() > 0
 
 
+def two_arms(coupling: str = "") -> str:
+    """Two arms on one stand."""
+    body, servos = (ARM.split(f"<{tag}>")[1].split(f"</{tag}>")[0] for tag in ("worldbody", "actuator"))
+    other = body + "|" + servos
+    for name in ("upper", "fore", "shoulder", "elbow", "wrist"):
+        other = other.replace(f'"{name}', f'"left_{name}')
+    left, left_servos = other.replace('pos="0 0 1"', 'pos="0 1 1"').split("|")
+    made = ARM.replace(body, body + left).replace(servos, servos + left_servos)
+    return made.replace("</mujoco>", coupling + "</mujoco>")
+
+
+def test_arms_that_do_not_feel_one_another_have_the_slopes_of_each_alone(made) -> None:
+    effects = ("payload", "viscous_friction", "backlash")
+    screen = screened(load_case(made("two_arms", Truth(), two_arms(), runs=2, span=(1.6, 1.8))), effects)
+    assert len(set(screen.trees.values())) == 2
+    base = screen.simulator.simulate(coarse=screen.coarse)
+    together = screen._slopes(screen.atoms, base, screen.nominal)
+    screen.trees = {}
+    alone = screen._slopes(screen.atoms, base, screen.nominal)
+    for one, other in zip(together, alone, strict=True):
+        for a, b in zip(one, other, strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-6 * np.abs(b).max())
+
+
+def test_arms_that_hold_each_other_are_one_robot(made) -> None:
+    bar = '<equality><joint joint1="elbow" joint2="left_elbow" solref="0.02 1"/></equality>'
+    case = load_case(made("tied_arms", Truth(), two_arms(bar), runs=2, span=(1.6, 1.8)))
+    assert screened(case, ("payload", "viscous_friction")).trees == {}
+
+
 def test_a_search_that_fails_on_a_run_it_did_not_look_at_finds_nothing(made, monkeypatch) -> None:
     screen = screened(load_case(made("slopes_four", Truth(), FINE, runs=4)), ("armature",))
     assert screen.varied is None  # an arm is simulated fast: all runs are looked at
@@ -173,15 +203,15 @@ def test_a_search_that_fails_on_a_run_it_did_not_look_at_finds_nothing(made, mon
     monkeypatch.setattr(screen.simulator.context, "touches", False)
     fitter = Fitter(screen)
     cause = Cause(screen.candidates[0], (0.01,))
-    assert fitter.fit([cause], rough=True) is not None
-    simulate = screen.simulator.simulate
+    assert fitter.fit([cause], few=fitter.rough(fitter.nominal())) is not None
+    few, simulate = fitter.rough(fitter.nominal()), screen.simulator.simulate
 
     def falls(settings=(), runs=None, coarse=1):
         made = simulate(settings, runs, coarse)
         return [np.full_like(y, np.nan) for y in made] if settings and len(made) == len(screen.runs) else made
 
     monkeypatch.setattr(screen.simulator, "simulate", falls)
-    assert Fitter(screen).fit([cause], rough=True) is None
+    assert Fitter(screen).fit([cause], few=few) is None
 
 
 def test_a_richer_law_takes_the_place_of_the_plain_one(arm: Case) -> None:
@@ -238,7 +268,7 @@ class Jagged(Fitter):
 
     def _predict(self, causes, few=None):
         found = super()._predict(causes, few)
-        if found is None or not causes or (few is not None and 0 not in few):
+        if found is None or not causes or (few is not None and 0 not in few.runs):
             return found
         ripple = 0.02 * np.sin(60.0 * causes[0].values[0] / abs(causes[0].candidate.parameters[0].step))
         return [y + ripple * (i == 0) for i, y in enumerate(found)]

@@ -250,7 +250,7 @@ def _as_good(screen: Screen, fitter: Fitter, trials: Sequence[Trial], fit: Fit, 
     # Of the forms of an effect at one place the one that gains most.
     best = {(t.candidate.effect, t.candidate.places): t for t in sorted(tried, key=lambda t: t.gain or 0.0)}
     found: list[Fit] = []
-    most = figures.PLACES if screen.simulator.context.touches else figures.FITTED
+    most = figures.PLACES if screen.slow else figures.FITTED
     for trial in sorted(best.values(), key=lambda t: -(t.gain or 0.0))[:most]:
         rival = fitter.fit([Cause(trial.candidate, trial.values)])
         if rival is None or _again(screen, rival, fit):

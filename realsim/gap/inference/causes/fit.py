@@ -16,7 +16,7 @@ from realsim.gap.effects.lookup import lookup
 from realsim.gap.inference.causes.fitted import Cause as Cause
 from realsim.gap.inference.causes.fitted import Fit as Fit
 from realsim.gap.inference.causes.fitted import at, form, parameters_of, spread, values_of
-from realsim.gap.inference.causes.gauss_newton import Few, GaussNewton, clip, widest
+from realsim.gap.inference.causes.gauss_newton import Few, GaussNewton, Rough, clip, widest
 from realsim.gap.inference.causes.leftover import deviations, is_gap, leftover
 from realsim.gap.inference.evidence.onsets import find_onsets
 from realsim.gap.inference.likelihood.linear import bounded
@@ -107,7 +107,7 @@ class Fitter(GaussNewton):
         for size in figures.SLIDES:
             fit = self.beside_own(self._slid(fit, size))
         with self.beside_those_of(fit):
-            again = self.fit(fit.causes, iterations=3, rough=True)
+            again = self.fit(fit.causes, iterations=3, few=self.rough(fit))
         return again if again is not None and again.misfit < fit.misfit else fit
 
     def _slid(self, fit: Fit, size: float) -> Fit:
@@ -117,20 +117,25 @@ class Fitter(GaussNewton):
         times = set(lookup(fit.causes[-1].candidate.effect).law.passing)
         strong = [p.name for p in parameters if p.strength and p.name not in times]
         groups = [*([p.name] for p in parameters if p.name in times), strong]
+        (*others, last), few = fit.causes, self.rough(fit)
 
-        def moved(here: Fit, move: tuple[Sequence[str], float]) -> Fit | None:
-            (names, by), (*others, cause) = move, here.causes
-            there = [v + by * (1.0 if n in times else v) * (n in names) for n, v in cause.named.items()]
-            there = clip(np.array(there), parameters).tolist()
-            return self.looked_at(here, (*others, replace(cause, values=tuple(there))))
+        def measured(cause: Cause) -> tuple[float, Cause]:
+            misfit = self.misfit((*others, cause), few)
+            return np.inf if misfit is None else misfit, cause
+
+        def moved(here: Cause, move: tuple[Sequence[str], float]) -> tuple[float, Cause]:
+            names, by = move
+            there = [v + by * (1.0 if n in times else v) * (n in names) for n, v in here.named.items()]
+            return measured(replace(here, values=tuple(clip(np.array(there), parameters).tolist())))
 
         with self.beside_those_of(fit):
-            while True:
-                here = fit
-                looks = self.each(partial(moved, here), [(names, by) for names in groups for by in (size, -size)])
-                fit = min((f for f in looks if f is not None), key=lambda f: f.misfit, default=fit)
-                if fit.misfit >= here.misfit:
-                    return here
+            best, nearer = measured(last), True
+            while nearer:
+                looks = self.each(partial(moved, best[1]), [(names, by) for names in groups for by in (size, -size)])
+                best, before = min(best, *looks, key=lambda look: look[0]), best
+                nearer = best[0] < before[0]
+            there = fit if best[1] is last else self.looked_at(fit, (*others, best[1]))
+        return there if there is not None and there.misfit < fit.misfit else fit
 
     def _cost(self, fit: Fit) -> float:
         """Weighted squared residual of the simulation itself."""
@@ -169,15 +174,14 @@ class Fitter(GaussNewton):
         causes: Sequence[Cause],
         starts: Sequence[Sequence[float]] = (),
         iterations: int = 6,
-        rough: bool = False,
+        few: Few = None,
         target: float = np.inf,
     ) -> Fit | None:
         """The best values near the causes' own and the further `starts` (all values in a row); None if none runs.
 
-        A `rough` fit looks at some of the runs while it searches, and is measured on all of them; it is broken off
-        once it would not come down to the misfit `target` (of the runs it looks at) at its present pace.
+        A rough fit looks at a `few` while it searches, and is measured on all runs; it is broken off once it would not
+        come down to the misfit `target` (of what it looks at) at its present pace.
         """
-        few = self.screen.varied if rough else None
         begun = self._best_start(causes, [list(values_of(causes)), *starts], few)
         if begun is None:
             return None
@@ -205,7 +209,7 @@ class Fitter(GaussNewton):
     def of_run(self, fit: Fit, causes: Sequence[Cause], k: int) -> F64:
         """(T, C) prediction of screened run k with these values; the fit's own where that fails."""
         with self.beside_those_of(fit):
-            moved = self._predict(causes, (k,)) if causes else None
+            moved = self._predict(causes, Rough((k,))) if causes else None
         return moved[0] if moved else fit.predictions[k]
 
     def left_out(self, fit: Fit) -> F64:
@@ -245,6 +249,6 @@ class Fitter(GaussNewton):
             if slopes is None:
                 slopes, few = self.slopes(causes, predicted), None
             if slopes is not None:
-                seen = predicted if few is None else [predicted[k] for k in few]
+                seen = predicted if few is None else [predicted[k] for k in few.runs]
                 covariance = spread(*self._local(prior, self._normal(causes, seen, slopes, few)), parameters)
         return Fit(tuple(causes), misfit, covariance, tuple(predicted), about, evidence, prior, scale)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 import numpy as np
@@ -12,7 +12,8 @@ from realsim.core.errors import GapError
 from realsim.core.types import F64
 from realsim.gap import figures
 from realsim.gap.effects.base import Parameter
-from realsim.gap.inference.causes.fitted import Cause, at, parameters_of, values_of
+from realsim.gap.effects.lookup import lookup
+from realsim.gap.inference.causes.fitted import Cause, Fit, at, parameters_of, values_of
 from realsim.gap.inference.likelihood.linear import Evidence, bounded, posterior, scaled
 from realsim.gap.inference.likelihood.screen import Screen
 from realsim.gap.simulation.cores import Recent
@@ -22,8 +23,22 @@ Item = TypeVar("Item")
 Made = TypeVar("Made")
 
 
-Few = tuple[int, ...] | None
-"""Positions of the screened runs that a fit looks at; None: all."""
+@dataclass(frozen=True)
+class Rough:
+    """How a search looks at neighbours of a set on a robot that is slow to simulate: on some of the screened runs, and
+    at coarse steps. What these do to the set itself is added, so that its neighbours differ from it as they do at fine
+    ones, to first order."""
+
+    runs: tuple[int, ...]
+    """Positions among the screened runs."""
+    of: tuple = ()
+    """What the set is, where steps are coarse."""
+    added: tuple[F64, ...] = field(default=(), compare=False)
+    """(T, C) a run: the set's prediction at fine steps without that at coarse ones; none where steps are fine."""
+
+
+Few = Rough | None
+"""What a fit looks at; None: all runs, at the model's own steps."""
 
 
 class GaussNewton:
@@ -33,8 +48,9 @@ class GaussNewton:
         self.screen = screen
         self.about = np.zeros(len(screen.atoms))
         """(p,) nuisances that every simulation contains, where linear ones do not do."""
-        self._recent: Recent[list[F64] | None] = Recent(24)
+        self._recent: Recent[list[F64] | None] = Recent(64)
         """A line search ends where the next slopes begin: no need to simulate it again."""
+        self._rough: Recent[Rough] = Recent(2)
 
     @property
     def evaluations(self) -> int:
@@ -44,6 +60,25 @@ class GaussNewton:
     def each(self, function: Callable[[Item], Made], items: Sequence[Item]) -> Iterator[Made]:
         """`function` of every item, in their order, on all cores: looks that do not wait for one another."""
         return self.screen.simulator.cores.each(function, items)
+
+    def rough(self, here: Fit, every: bool = False) -> Few:
+        """How neighbours of a set are looked at in a search, if asked on every run; None on a robot that is simulated
+        fast."""
+        screen = self.screen
+        if screen.varied is None:
+            return None
+        few = Rough(tuple(range(len(screen.runs))) if every else screen.varied)
+        if screen.coarse == 1 or _stiff(here.causes):
+            return few
+        of = _key(here.causes), here.about.tobytes(), tuple(screen.simulator.onsets.items()), every
+
+        def made() -> Rough:
+            settings = [*screen.settings(here.about), *here.settings()]
+            coarse = screen.simulator.simulate(settings, self._runs(few), screen.coarse)
+            added = [here.predictions[k] - y for k, y in zip(few.runs, coarse, strict=True)]
+            return Rough(few.runs, of, tuple(added)) if all(np.isfinite(y).all() for y in added) else few
+
+        return self._rough.get(of, made)
 
     def prior_beside(self, causes: Causes) -> F64:
         """A parameter that is a cause is not a nuisance at the same time, nor is one that does the same."""
@@ -89,15 +124,21 @@ class GaussNewton:
         return causes, misfit, slopes
 
     def _runs(self, few: Few) -> list[int]:
-        return self.screen.runs if few is None else [self.screen.runs[k] for k in few]
+        return self.screen.runs if few is None else [self.screen.runs[k] for k in few.runs]
 
     def _predict(self, causes: Causes, few: Few = None) -> list[F64] | None:
         """(T, C) a screened run (of those that are looked at); None if the simulation fails."""
 
         def made() -> list[F64] | None:
             settings = [*self.screen.settings(self.beside(causes)), *(s for c in causes for s in c.settings())]
+            simulate, runs = self.screen.simulator.simulate, self._runs(few)
             try:
-                found = self.screen.simulator.simulate(settings, self._runs(few))
+                if few and few.added and not _stiff(causes):  # a stiff law may blow up at coarse steps
+                    coarse = simulate(settings, runs, self.screen.coarse)
+                    found = [y + more for y, more in zip(coarse, few.added, strict=True)]
+                    if all(np.isfinite(y).all() for y in found):
+                        return found
+                found = simulate(settings, runs)
             except GapError:
                 return None
             return found if all(np.isfinite(y).all() for y in found) else None
@@ -109,7 +150,7 @@ class GaussNewton:
         predicted = self._predict(causes, few)
         if predicted is None:
             return None
-        evidence = self.screen.evidence(predicted, few, self.beside(causes))
+        evidence = self.screen.evidence(predicted, few.runs if few else None, self.beside(causes))
         return self.screen.misfit(evidence, self.prior_beside(causes))[0]
 
     def slopes(self, causes: Causes, base: Sequence[F64], few: Few = None) -> list[F64] | None:
@@ -136,7 +177,7 @@ class GaussNewton:
     def _normal(self, causes: Causes, base: Sequence[F64], slopes: list[F64], few: Few = None) -> Evidence:
         """Normal equations of nuisances and, behind them, values: a run each, about `base`."""
         about = self.beside(causes)
-        evidence = self.screen.evidence(base, few, about)
+        evidence = self.screen.evidence(base, few.runs if few else None, about)
         A, b = [], []
         for i, (k, y, D) in enumerate(zip(evidence.runs, base, slopes, strict=True)):
             w = self.screen.comparison.weights[self.screen.runs[k]].reshape(-1)
@@ -193,6 +234,10 @@ def clip(z: F64, parameters: Sequence[Parameter]) -> F64:
 def widest(z: F64, parameters: Sequence[Parameter]) -> F64:
     """(m,) longest step: a gross cause lies many of its own steps off."""
     return np.maximum(4 * np.array([abs(p.step) for p in parameters]), np.abs(z))
+
+
+def _stiff(causes: Causes) -> bool:
+    return any(lookup(c.candidate.effect).law.stiff for c in causes)
 
 
 def _key(causes: Causes) -> tuple:

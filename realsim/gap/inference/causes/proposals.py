@@ -79,6 +79,7 @@ def by_simulation(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
         stands = fitter.screen.simulator.context.touches and set(c.names) <= set(effect.law.footing)
         if len(c.places) == 1 and (effect.law.abrupt or stands):
             abrupt.setdefault(c.effect, []).append((c, estimate))
+    fitter.rough(here)  # once, before many threads ask for it
     for candidates in abrupt.values():
         looks = fitter.each(lambda item: _sized(fitter, here, *item), candidates[: figures.PROBED])
         for gain, cause in sorted(looks, key=lambda item: -item[0])[: figures.PLACES]:
@@ -95,7 +96,7 @@ def _sized(fitter: Fitter, here: Fit, candidate: Candidate, estimate: F64) -> tu
         zip(candidate.linear, estimate / size if size > 1e-3 else steps * (np.arange(len(steps)) == 0), strict=True)
     )
 
-    before = searched(fitter.screen, here)
+    before, few = searched(fitter.screen, here), fitter.rough(here)
 
     def cause(factor: float) -> Cause:
         return Cause(candidate, tuple(p.default + factor * float(unit.get(p.name, 0.0)) for p in candidate.parameters))
@@ -104,7 +105,7 @@ def _sized(fitter: Fitter, here: Fit, candidate: Candidate, estimate: F64) -> tu
         there = cause(factor)
         if any(not p.bounds[0] <= v <= p.bounds[1] for p, v in zip(candidate.parameters, there.values, strict=True)):
             return -np.inf
-        moved = fitter.misfit((*here.causes, there), fitter.screen.varied)
+        moved = fitter.misfit((*here.causes, there), few)
         return before - moved if moved is not None else -np.inf
 
     most, best = max((gain(factor), factor) for factor in figures.SIZES)

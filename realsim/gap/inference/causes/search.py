@@ -8,14 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
+from itertools import islice
 
 import numpy as np
 
 from realsim.core.types import F64
 from realsim.gap import figures
-from realsim.gap.effects.nuisances import MANY_JOINTS
 from realsim.gap.inference.causes.fit import Fit, Fitter
 from realsim.gap.inference.causes.fitted import Trial, exchanged
+from realsim.gap.inference.causes.gauss_newton import Few
 from realsim.gap.inference.causes.leftover import is_gap, leftover
 from realsim.gap.inference.causes.proposals import ADD, EXCHANGE, Proposal, Propose, ranked
 from realsim.gap.inference.causes.score import asked, bent, doubts, near, score, searched
@@ -99,23 +101,30 @@ class Search:
         here = self.best
         if screen.simulator.context.touches and not here.causes:  # now deviations are simulated: do they leave a gap?
             screen.gap = is_gap(leftover(screen, here))
-        fits: list[Fit] = []
-        for p in self._proposed(moves, here):
+        fits, few = list[Fit](), self.fitter.rough(here) if further else None
+        proposed, at_once = self._proposed(moves, here), 1
+        while now := list(islice(proposed, at_once)):
             # Of many further causes each is looked at roughly; what would not catch up with the best is broken off.
             least = min((searched(screen, f) for f in fits), default=np.inf) if further else here.misfit
             before = searched(screen, here) if further else self.seen[frozenset()].misfit
             target = least + near(before - least)
-            fit = self.fitter.fit(p.causes, p.starts, 8, rough=further, target=target)
-            if fit is not None:
+            found = self.fitter.each(partial(self._fitted, few=few, target=target), now)
+            for p, fit in zip(now, found, strict=True):
+                if fit is None:
+                    continue
                 fits.append(fit)
                 self._keep(fit)
                 if further:
                     c, gain = fit.causes[-1], here.misfit - fit.misfit
                     self.trials.append(Trial(c.candidate, len(here.causes), p.foretold, gain=gain, values=c.values))
+            at_once = figures.AT_ONCE
         here, fits = second_look(self.fitter, here, sorted(fits, key=self._score))
         for fit in fits:
             self._keep(fit)
         return self._better(here, fits)
+
+    def _fitted(self, p: Proposal, few: Few, target: float) -> Fit | None:
+        return self.fitter.fit(p.causes, p.starts, 8, few, target)
 
     def _proposed(self, moves: Sequence[Propose], here: Fit) -> Iterator[Proposal]:
         """Neighbours of a set; of those that begin from the linear estimate alone, each once."""
@@ -164,8 +173,8 @@ def second_look(fitter: Fitter, here: Fit, fits: Sequence[Fit]) -> tuple[Fit, li
     Args:
         fits: neighbours of the set `here`, the lowest score first.
     """
-    screen, simulator = fitter.screen, fitter.screen.simulator
-    if not fits or (len(simulator.case.joint_names) < MANY_JOINTS and not simulator.context.touches):
+    screen = fitter.screen
+    if not fits or not screen.slow:
         return here, list(fits)  # few deviations hide nothing: slopes tell them from causes
     if not is_gap(leftover(screen, here)):  # weights hardly change: only what comes near can win
         least = asked(screen, here) if len(fits[0].causes) > len(here.causes) else figures.CLEARLY

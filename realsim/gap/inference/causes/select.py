@@ -89,7 +89,9 @@ def _alike(search: Search, nominal: Fit) -> tuple[Fit, list[Fit]]:
     again = (fitter.looked_at(f, f.causes) for f in others)
     others = [f for f in again if f is not None and f.misfit - best.misfit < near(removed)]
     # Their values were found under other weights, and on some of the runs: at their best, all are compared.
-    others = [min(fitter.fit(f.causes, iterations=3) or f, f, key=lambda f: f.misfit) for f in others]
+    others = [
+        min(fitter.fit(f.causes, (), 3, fitter.rough(f, every=True)) or f, f, key=lambda f: f.misfit) for f in others
+    ]
     same = [best, *(f for f in others if alike(fitter, best, f, removed))]
     best, *rest = _in_order(fitter.screen, same)
     return fitter.spread(best), rest

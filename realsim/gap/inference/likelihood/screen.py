@@ -10,6 +10,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from realsim.gap.case.model.context import like_joints
 from realsim.gap.effects import EFFECTS, ON_REQUEST
 from realsim.gap.effects.base import Effect, Parameter, Place
 from realsim.gap.effects.lookup import SINCE, lookup
-from realsim.gap.effects.nuisances import NUISANCES
+from realsim.gap.effects.nuisances import MANY_JOINTS, NUISANCES
 from realsim.gap.inference.likelihood.comparison import Comparison
 from realsim.gap.inference.likelihood.linear import Evidence, Spectrum, scaled
 from realsim.gap.simulation.cores import Recent
@@ -132,9 +133,10 @@ class Screen:
         base = simulator.simulate(runs=self.runs, coarse=self.coarse)
         if not all(np.isfinite(y).all() for y in base):  # stiff servos may not bear it
             self.coarse, base = 1, simulator.simulate(runs=self.runs)
-        changes = simulator.cores.each(lambda atom: self._column(atom, base, self.nominal), wanted)
-        for k, (atom, change) in enumerate(zip(wanted, changes, strict=True)):
-            tick("sensitivities", k / len(wanted))
+        self.trees = self._apart(wanted, base)
+        """Joint or body -> its kinematic tree, where none of them feels another one."""
+        changes = self._slopes(wanted, base, self.nominal, (), lambda share: tick("sensitivities", share))
+        for atom, change in zip(wanted, changes, strict=True):
             if change is None:
                 continue
             self.atoms.append(atom)
@@ -147,6 +149,8 @@ class Screen:
                 file=simulator.case.folder,
                 hint="are the commands in the unit that log.json says, and do they move the joints?",
             )
+        self.slow = simulator.context.touches or len(simulator.case.joint_names) >= MANY_JOINTS
+        """Whether the robot takes long to simulate."""
         self.index = {(a.effect, a.place, a.parameter.name): i for i, a in enumerate(self.atoms)}
         self.varied = self._varied()
         self.prior = np.array([a.parameter.nuisance for a in self.atoms])
@@ -161,9 +165,9 @@ class Screen:
         self.effects = {c.effect for c in self.candidates}
 
     def _varied(self, count: int = 3) -> tuple[int, ...] | None:
-        """Positions of a few screened runs from calm to lively, for the searches of rivals on robots with feet, which
-        are slow to simulate; None where all are few."""
-        if len(self.runs) <= count or not self.simulator.context.touches:
+        """Positions of a few screened runs from calm to lively, for the searches of rivals on robots with feet or many
+        joints, which are slow to simulate; None where all are few."""
+        if len(self.runs) <= count or not self.slow:
             return None
         commands = [self.simulator.case.runs[r].command for r in self.runs]
         order = np.argsort([float(np.abs(np.diff(c, axis=0)).sum() / len(c)) for c in commands])
@@ -191,50 +195,131 @@ class Screen:
         if not all(np.isfinite(y).all() for y in (*there, *base)):
             return None
         found = [c.copy() for c in self._columns]
+        near = {self._tree(place) for _, place, _ in settings}
         others = [
             i
             for i, atom in enumerate(self.atoms)
             if not any(atom.effect == name and set(atom.place) <= set(place) for name, place, _ in settings)
+            and (None in near or self._tree(atom.place) in {None, *near})
         ]
-        changes = self.simulator.cores.each(lambda i: self._column(self.atoms[i], base, there, settings), others)
+        changes = self._slopes([self.atoms[i] for i in others], base, there, settings)
         for i, change in zip(others, changes, strict=True):
             for k, columns in enumerate(found):
                 columns[:, i] = change[k] if change else 0.0
         return found
 
-    def _column(
-        self, atom: Atom, base: list[F64], fine: list[F64], settings: Sequence[Setting] = ()
-    ) -> list[F32] | None:
-        """Change of the prediction by one unit of the parameter, a flat (B * C) array a run; None if it cannot run.
+    def _slopes(
+        self,
+        atoms: Sequence[Atom],
+        base: list[F64],
+        fine: list[F64],
+        settings: Sequence[Setting] = (),
+        tick: Callable[[float], None] = lambda share: None,
+    ) -> list[list[F32] | None]:
+        """Change of the prediction by one unit of each atom, a flat (B * C) array a run; None of what cannot run.
 
-        `base`, `fine`: the predictions without it, at the coarse and at the model's own time step.
+        `base`, `fine`: the predictions without them, at the coarse and at the model's own time step.
         """
-        p = atom.parameter
-        # Where small deviations are everyday, the slope at the nominal model counts: it must predict them.
-        # And a stiff law that a finer step bears may blow up at the coarser one, and would then never be a candidate.
-        coarse, base = (1, fine) if p.fine or lookup(atom.effect).law.stiff else (self.coarse, base)
-        width = np.copysign(min(3 * p.nuisance, abs(p.step)), p.step) if p.nuisance and p.bounds[0] < 0 else p.step
+        columns: list[list[F32] | None] = [None] * len(atoms)
+        together = self._together(atoms)
+        found = self.simulator.cores.each(
+            lambda which: self._column_of_each([atoms[i] for i in which], base, fine, settings), together
+        )
+        for k, (which, those) in enumerate(zip(together, found, strict=True)):
+            tick(k / len(together))
+            for i, column in zip(which, those, strict=True):
+                columns[i] = column
+        return columns
+
+    def _together(self, atoms: Sequence[Atom]) -> list[list[int]]:
+        """Positions of atoms that are simulated at once: one of each of the trees that do not feel one another, as
+        groups of columns of a Jacobian that share no row (Curtis, Powell and Reid, J. Inst. Maths Applics 13, 1974)."""
+        alone: list[list[int]] = []
+        by_tree: dict[tuple[bool, int], list[int]] = {}
+        for i, atom in enumerate(atoms):
+            tree = self._tree(atom.place)
+            if tree is None:
+                alone.append([i])
+            else:
+                by_tree.setdefault((_at_own_step(atom), tree), []).append(i)
+        for fine in (False, True):
+            trees = [members for (own, _), members in by_tree.items() if own == fine]
+            alone += [[i for i in row if i is not None] for row in zip_longest(*trees)]
+        return alone
+
+    def _tree(self, place: Place) -> int | None:
+        """Kinematic tree that a place lies in, where it feels no other one; None elsewhere."""
+        return next(iter(found)) if len(found := {self.trees.get(name) for name in place}) == 1 else None
+
+    def _apart(self, wanted: Sequence[Atom], base: list[F64]) -> dict[str, int]:
+        """Joint or body -> its kinematic tree, on a robot on a stand whose legs and arms do not feel one another: what
+        changes in one leaves the readings of the others as they were. Empty on other robots."""
+        case, model = self.simulator.case, self.simulator.case.model
+        labels = [c.label for c in self.comparison.channels]
+        if case.floating or model.ntree < 2 or not set(labels) <= set(case.joint_names):
+            return {}
+        trees = {model.joint(j).name: int(model.dof_treeid[model.jnt_dofadr[j]]) for j in range(model.njnt)}
+        trees |= {
+            model.body(b).name: int(model.body_treeid[b]) for b in range(model.nbody) if model.body_treeid[b] >= 0
+        }
+        trees.pop("", None)
+        tree_of = np.array([trees[label] for label in labels])
+        for tree in set(trees.values()):
+            first = next((a for a in wanted if {trees.get(name) for name in a.place} == {tree}), None)
+            change = self._changed([first], 1.0, base, self.nominal, ()) if first else None
+            if change is None or any(
+                np.abs(c / self.comparison.noise.detail)[:, tree_of != tree].max(initial=0) > 1e-6 for c in change
+            ):
+                return {}
+        return trees
+
+    def _column_of_each(
+        self, atoms: Sequence[Atom], base: list[F64], fine: list[F64], settings: Sequence[Setting]
+    ) -> list[list[F32] | None]:
+        """Columns of atoms of trees that do not feel one another."""
+        change = self._changed(atoms, 1.0, base, fine, settings) if len(atoms) > 1 else None
+        if change is None:
+            return [self._column(atom, base, fine, settings) for atom in atoms]
+        labels = [c.label for c in self.comparison.channels]
+        found = []
+        for atom in atoms:
+            own = np.array([self.trees[label] == self._tree(atom.place) for label in labels])
+            found.append(self._seen(atom, [np.where(own, c, 0.0) / _width(atom) for c in change]))
+        return found
+
+    def _column(self, atom: Atom, base: list[F64], fine: list[F64], settings: Sequence[Setting]) -> list[F32] | None:
         for scale in (1.0, -1.0, 0.3):  # a payload may only be removable, a gap only be small
-            value = p.default + scale * width
-            if not p.bounds[0] <= value <= p.bounds[1]:
-                continue
-            try:
-                moved = self.simulator.simulate(
-                    [*settings, (atom.effect, atom.place, {p.name: value})], runs=self.runs, coarse=coarse
-                )
-            except GapError:
-                continue
-            if not all(np.isfinite(m).all() for m in moved):
-                continue
-            change = [
-                self.comparison.change(run, m, y) / (scale * width)
-                for run, m, y in zip(self.runs, moved, base, strict=True)
-            ]
-            size = max(float(np.abs(c * p.step / self.comparison.noise.detail).max(initial=0)) for c in change)
-            if size < 0.05:
-                return None  # far below what could ever be seen
-            return [c.reshape(-1).astype(np.float32) for c in change]
+            change = self._changed([atom], scale, base, fine, settings)
+            if change is not None:
+                return self._seen(atom, [c / (scale * _width(atom)) for c in change])
         return None
+
+    def _changed(
+        self, atoms: Sequence[Atom], scale: float, base: list[F64], fine: list[F64], settings: Sequence[Setting]
+    ) -> list[F64] | None:
+        """(B, C) a run: change of the prediction by so much of their width of these atoms together; None if it is out
+        of their range or cannot run."""
+        moves: list[Setting] = []
+        for atom in atoms:
+            p = atom.parameter
+            value = p.default + scale * _width(atom)
+            if not p.bounds[0] <= value <= p.bounds[1]:
+                return None
+            moves.append((atom.effect, atom.place, {p.name: value}))
+        coarse, base = (1, fine) if _at_own_step(atoms[0]) else (self.coarse, base)
+        try:
+            moved = self.simulator.simulate([*settings, *moves], runs=self.runs, coarse=coarse)
+        except GapError:
+            return None
+        if not all(np.isfinite(m).all() for m in moved):
+            return None
+        return [self.comparison.change(run, m, y) for run, m, y in zip(self.runs, moved, base, strict=True)]
+
+    def _seen(self, atom: Atom, change: list[F64]) -> list[F32] | None:
+        """The column of an atom; None where it is far below what could ever be seen."""
+        step, detail = atom.parameter.step, self.comparison.noise.detail
+        size = max(float(np.abs(c * step / detail).max(initial=0)) for c in change)
+        return [c.reshape(-1).astype(np.float32) for c in change] if size >= 0.05 else None
 
     def evidence(
         self, simulated: Sequence[F64], few: tuple[int, ...] | None = None, about: F64 | float = 0.0
@@ -365,6 +450,19 @@ class Screen:
         # A planar arm cannot feel a force across its plane: that is no parameter of its log.
         felt = tuple(p for p in parameters if p.name in linear or not p.strength or p.like)
         return Candidate(effect.name, group, felt, np.stack(directions, axis=1), tuple(linear))
+
+
+def _width(atom: Atom) -> float:
+    """Over which a slope is taken: where small deviations are everyday, the slope at the nominal model counts, since it
+    must predict them."""
+    p = atom.parameter
+    near = p.nuisance and p.bounds[0] < 0
+    return float(np.copysign(min(3 * p.nuisance, abs(p.step)), p.step)) if near else p.step
+
+
+def _at_own_step(atom: Atom) -> bool:
+    """A stiff law that a finer step bears may blow up at the coarser one, and would then never be a candidate."""
+    return atom.parameter.fine or lookup(atom.effect).law.stiff
 
 
 def slab(candidate: Candidate) -> F64:
