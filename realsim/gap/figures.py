@@ -97,6 +97,9 @@ PARTS = (1.0, 0.5, 0.25)
 """Shares of a step of the everyday deviations that are tried, until the simulation comes nearer. Budget."""
 WIDE = 0.1
 """Share of a step over which slopes are taken: wide differences see through sticking friction."""
+TURNED = 0.2
+"""Share of its size by which a slope must differ about other causes, in the liveliest run, to be taken anew in the
+others. Budget."""
 AT_ONCE = 4
 """Neighbours of a set that are fitted at once, each on a core, after the most promising one. Budget."""
 PACES = 6.0

@@ -174,17 +174,20 @@ def two_arms(coupling: str = "") -> str:
     return made.replace("</mujoco>", coupling + "</mujoco>")
 
 
-def test_arms_that_do_not_feel_one_another_have_the_slopes_of_each_alone(made) -> None:
+def test_arms_that_do_not_feel_one_another_have_the_slopes_of_each_alone(made, monkeypatch) -> None:
     effects = ("payload", "viscous_friction", "backlash")
-    screen = screened(load_case(made("two_arms", Truth(), two_arms(), runs=2, span=(1.6, 1.8))), effects)
+    case = load_case(made("two_arms", Truth(), two_arms(), runs=2, span=(1.6, 1.8)))
+    screen = screened(case, effects)
     assert len(set(screen.trees.values())) == 2
-    base = screen.simulator.simulate(coarse=screen.coarse)
-    together = screen._slopes(screen.atoms, base, screen.nominal)
-    screen.trees = {}
-    alone = screen._slopes(screen.atoms, base, screen.nominal)
-    for one, other in zip(together, alone, strict=True):
-        for a, b in zip(one, other, strict=True):
-            np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-6 * np.abs(b).max())
+    screen.relinearise([("viscous_friction", ("elbow",), {"damping": 0.4})])
+    together = [screen.columns(k, range(len(screen.atoms))) for k in range(2)]
+    monkeypatch.setattr(Screen, "_apart", lambda *_: {})
+    alone = screened(case, effects)
+    alone.relinearise([("viscous_friction", ("elbow",), {"damping": 0.4})])
+    assert [(a.effect, a.place) for a in alone.atoms] == [(a.effect, a.place) for a in screen.atoms]
+    for k, columns in enumerate(together):
+        other = alone.columns(k, range(len(alone.atoms)))
+        np.testing.assert_allclose(columns, other, rtol=1e-4, atol=1e-6 * np.abs(other).max())
 
 
 def test_arms_that_hold_each_other_are_one_robot(made) -> None:
@@ -196,11 +199,10 @@ def test_arms_that_hold_each_other_are_one_robot(made) -> None:
 def test_a_search_that_fails_on_a_run_it_did_not_look_at_finds_nothing(made, monkeypatch) -> None:
     screen = screened(load_case(made("slopes_four", Truth(), FINE, runs=4)), ("armature",))
     assert screen.varied is None  # an arm is simulated fast: all runs are looked at
-    monkeypatch.setattr(screen.simulator.context, "touches", True)
+    screen.slow = True
     screen.varied = screen._varied()
     assert screen.varied is not None
     assert len(screen.varied) < len(screen.runs)
-    monkeypatch.setattr(screen.simulator.context, "touches", False)
     fitter = Fitter(screen)
     cause = Cause(screen.candidates[0], (0.01,))
     assert fitter.fit([cause], few=fitter.rough(fitter.nominal())) is not None

@@ -70,6 +70,19 @@ class Candidate:
         return [(self.effect, place, values) for place in places]
 
 
+@dataclass(frozen=True)
+class _Point:
+    """Where slopes are taken."""
+
+    settings: tuple[Setting, ...]
+    runs: tuple[int, ...]
+    """Positions among the screened runs."""
+    base: list[F64]
+    """(T, C) a run: the prediction there at coarse steps."""
+    fine: list[F64]
+    """The same at the model's own steps."""
+
+
 class Screen:
     """Atoms, their columns on the chosen runs, and the candidates made of them."""
 
@@ -133,9 +146,10 @@ class Screen:
         base = simulator.simulate(runs=self.runs, coarse=self.coarse)
         if not all(np.isfinite(y).all() for y in base):  # stiff servos may not bear it
             self.coarse, base = 1, simulator.simulate(runs=self.runs)
-        self.trees = self._apart(wanted, base)
+        point = _Point((), tuple(range(len(self.runs))), base, self.nominal)
+        self.trees = self._apart(wanted, point)
         """Joint or body -> its kinematic tree, where none of them feels another one."""
-        changes = self._slopes(wanted, base, self.nominal, (), lambda share: tick("sensitivities", share))
+        changes = self._slopes(wanted, point, lambda share: tick("sensitivities", share))
         for atom, change in zip(wanted, changes, strict=True):
             if change is None:
                 continue
@@ -202,28 +216,31 @@ class Screen:
             if not any(atom.effect == name and set(atom.place) <= set(place) for name, place, _ in settings)
             and (None in near or self._tree(atom.place) in {None, *near})
         ]
-        changes = self._slopes([self.atoms[i] for i in others], base, there, settings)
-        for i, change in zip(others, changes, strict=True):
-            for k, columns in enumerate(found):
-                columns[:, i] = change[k] if change else 0.0
+        every = tuple(range(len(self.runs)))
+        # Where simulating takes long, the liveliest run tells which slopes are as they were.
+        first = every if self.varied is None else self.varied[-1:]
+        for runs in (first, tuple(k for k in every if k not in first)):
+            point = _Point(tuple(settings), runs, [base[k] for k in runs], [there[k] for k in runs])
+            changes = self._slopes([self.atoms[i] for i in others], point) if runs else []
+            for i, change in zip(others, changes, strict=False):
+                for n, k in enumerate(runs):
+                    found[k][:, i] = change[n] if change else 0.0
+            others = [i for i in others if any(self._turned(k, i, found[k][:, i]) for k in runs)]
         return found
 
-    def _slopes(
-        self,
-        atoms: Sequence[Atom],
-        base: list[F64],
-        fine: list[F64],
-        settings: Sequence[Setting] = (),
-        tick: Callable[[float], None] = lambda share: None,
-    ) -> list[list[F32] | None]:
-        """Change of the prediction by one unit of each atom, a flat (B * C) array a run; None of what cannot run.
+    def _turned(self, k: int, i: int, slope: F32) -> bool:
+        """Whether the slope of an atom on screened run k is another one than before."""
+        root, old = np.sqrt(self.comparison.weights[self.runs[k]].reshape(-1)), self._columns[k][:, i]
+        return bool(np.linalg.norm(root * (slope - old)) > figures.TURNED * np.linalg.norm(root * old))
 
-        `base`, `fine`: the predictions without them, at the coarse and at the model's own time step.
-        """
+    def _slopes(
+        self, atoms: Sequence[Atom], point: _Point, tick: Callable[[float], None] = lambda share: None
+    ) -> list[list[F32] | None]:
+        """Change of the prediction by one unit of each atom, a flat (B * C) array a run; None of what cannot run."""
         columns: list[list[F32] | None] = [None] * len(atoms)
         together = self._together(atoms)
         found = self.simulator.cores.each(
-            lambda which: self._column_of_each([atoms[i] for i in which], base, fine, settings), together
+            lambda which: self._column_of_each([atoms[i] for i in which], point), together
         )
         for k, (which, those) in enumerate(zip(together, found, strict=True)):
             tick(k / len(together))
@@ -251,7 +268,7 @@ class Screen:
         """Kinematic tree that a place lies in, where it feels no other one; None elsewhere."""
         return next(iter(found)) if len(found := {self.trees.get(name) for name in place}) == 1 else None
 
-    def _apart(self, wanted: Sequence[Atom], base: list[F64]) -> dict[str, int]:
+    def _apart(self, wanted: Sequence[Atom], point: _Point) -> dict[str, int]:
         """Joint or body -> its kinematic tree, on a robot on a stand whose legs and arms do not feel one another: what
         changes in one leaves the readings of the others as they were. Empty on other robots."""
         case, model = self.simulator.case, self.simulator.case.model
@@ -266,20 +283,18 @@ class Screen:
         tree_of = np.array([trees[label] for label in labels])
         for tree in set(trees.values()):
             first = next((a for a in wanted if {trees.get(name) for name in a.place} == {tree}), None)
-            change = self._changed([first], 1.0, base, self.nominal, ()) if first else None
+            change = self._changed([first], 1.0, point) if first else None
             if change is None or any(
                 np.abs(c / self.comparison.noise.detail)[:, tree_of != tree].max(initial=0) > 1e-6 for c in change
             ):
                 return {}
         return trees
 
-    def _column_of_each(
-        self, atoms: Sequence[Atom], base: list[F64], fine: list[F64], settings: Sequence[Setting]
-    ) -> list[list[F32] | None]:
+    def _column_of_each(self, atoms: Sequence[Atom], point: _Point) -> list[list[F32] | None]:
         """Columns of atoms of trees that do not feel one another."""
-        change = self._changed(atoms, 1.0, base, fine, settings) if len(atoms) > 1 else None
+        change = self._changed(atoms, 1.0, point) if len(atoms) > 1 else None
         if change is None:
-            return [self._column(atom, base, fine, settings) for atom in atoms]
+            return [self._column(atom, point) for atom in atoms]
         labels = [c.label for c in self.comparison.channels]
         found = []
         for atom in atoms:
@@ -287,16 +302,14 @@ class Screen:
             found.append(self._seen(atom, [np.where(own, c, 0.0) / _width(atom) for c in change]))
         return found
 
-    def _column(self, atom: Atom, base: list[F64], fine: list[F64], settings: Sequence[Setting]) -> list[F32] | None:
+    def _column(self, atom: Atom, point: _Point) -> list[F32] | None:
         for scale in (1.0, -1.0, 0.3):  # a payload may only be removable, a gap only be small
-            change = self._changed([atom], scale, base, fine, settings)
+            change = self._changed([atom], scale, point)
             if change is not None:
                 return self._seen(atom, [c / (scale * _width(atom)) for c in change])
         return None
 
-    def _changed(
-        self, atoms: Sequence[Atom], scale: float, base: list[F64], fine: list[F64], settings: Sequence[Setting]
-    ) -> list[F64] | None:
+    def _changed(self, atoms: Sequence[Atom], scale: float, point: _Point) -> list[F64] | None:
         """(B, C) a run: change of the prediction by so much of their width of these atoms together; None if it is out
         of their range or cannot run."""
         moves: list[Setting] = []
@@ -306,14 +319,15 @@ class Screen:
             if not p.bounds[0] <= value <= p.bounds[1]:
                 return None
             moves.append((atom.effect, atom.place, {p.name: value}))
-        coarse, base = (1, fine) if _at_own_step(atoms[0]) else (self.coarse, base)
+        coarse, base = (1, point.fine) if _at_own_step(atoms[0]) else (self.coarse, point.base)
+        runs = [self.runs[k] for k in point.runs]
         try:
-            moved = self.simulator.simulate([*settings, *moves], runs=self.runs, coarse=coarse)
+            moved = self.simulator.simulate([*point.settings, *moves], runs, coarse)
         except GapError:
             return None
         if not all(np.isfinite(m).all() for m in moved):
             return None
-        return [self.comparison.change(run, m, y) for run, m, y in zip(self.runs, moved, base, strict=True)]
+        return [self.comparison.change(run, m, y) for run, m, y in zip(runs, moved, base, strict=True)]
 
     def _seen(self, atom: Atom, change: list[F64]) -> list[F32] | None:
         """The column of an atom; None where it is far below what could ever be seen."""
