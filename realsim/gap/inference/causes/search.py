@@ -117,7 +117,7 @@ class Search:
                 if further:
                     c, gain = fit.causes[-1], here.misfit - fit.misfit
                     self.trials.append(Trial(c.candidate, len(here.causes), p.foretold, gain=gain, values=c.values))
-            at_once = figures.AT_ONCE
+            at_once = figures.AT_ONCE if screen.slow else 1
         here, fits = second_look(self.fitter, here, sorted(fits, key=self._score))
         for fit in fits:
             self._keep(fit)
