@@ -8,6 +8,9 @@ EXTRAS := dev,docs,recon,viewer,colmap,phone,lidar,logs,usd,ray,slurm,mcp,app,tr
 QUICK := tests/core tests/cli tests/scale tests/align tests/robots tests/report tests/test_imports.py
 # MuJoCo renders without a display.
 export MUJOCO_GL ?= osmesa
+# Memory of large arrays that is given back has to be cleared page by page when the next one is made.
+export MALLOC_TRIM_THRESHOLD_ ?= 1000000000
+export MALLOC_MMAP_THRESHOLD_ ?= 33554432
 # What is compiled is kept, or each process of the tests compiles it again.
 unexport PYTHONDONTWRITEBYTECODE
 

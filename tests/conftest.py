@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import os
 import signal
 from collections.abc import Callable, Iterator
@@ -53,6 +54,37 @@ def outputs_are_as_their_schemas_say() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(cli, "_run", checked)
         yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def a_step_is_timed_in_a_tenth_of_the_steps() -> Iterator[None]:
+    """What a step costs is measured for every scene that is written."""
+    from realsim.export.contact import cost
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cost, "STEPS", 50)
+        patch.setattr(cost, "REPEATS", 2)
+        yield
+
+
+@pytest.fixture(scope="session")
+def once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[object, Callable[[Path], object]], Path]:
+    """`once(key, write)` is a folder that `write(folder)` has made, the same for all tests and workers: copy it to
+    change something. The key holds all that the folder depends on."""
+    base = tmp_path_factory.getbasetemp()
+    root = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "once"
+
+    def find(key: object, write: Callable[[Path], object]) -> Path:
+        folder = root / hashlib.sha256(repr(key).encode()).hexdigest()[:16]
+        if not folder.exists():
+            work = tmp_path_factory.mktemp("once") / "made"
+            write(work)
+            root.mkdir(exist_ok=True)
+            with contextlib.suppress(OSError):  # another worker has made it meanwhile
+                work.rename(folder)
+        return folder
+
+    return find
 
 
 @pytest.fixture

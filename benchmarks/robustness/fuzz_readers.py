@@ -15,7 +15,7 @@ import math
 import re
 import shutil
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from operator import attrgetter
 from pathlib import Path
@@ -25,6 +25,9 @@ import numpy as np
 
 from realsim.core.errors import RealsimError
 from realsim.core.files import digest, read_json
+
+TOLD = ("assumptions", "dropped", "notes", "reasons", "unused", "warnings")
+"""Lists in a command's answer that a user is told something by."""
 
 
 @dataclass
@@ -374,8 +377,19 @@ def read_request(folder: Path) -> Reading:
         assert not re.match(r"Error executing tool \w+$|the command ended without", text), text
         reading.refused.append(text[:80])
         return reading
+    reading.said += _told(answer.structured_content or {})
     reading.part("answer", lambda: re.sub(r"[0-9.]+(e-?[0-9]+)?", "#", text.replace(str(folder), "")))
     return reading
+
+
+def _told(answer: Any) -> Iterator[str]:
+    """All that an answer warns of, wherever it stands in it."""
+    if isinstance(answer, dict):
+        for name, value in answer.items():
+            yield from map(str, value) if name in TOLD and isinstance(value, list) else _told(value)
+    elif isinstance(answer, list):
+        for value in answer:
+            yield from _told(value)
 
 
 FILES: dict[str, Callable[[Path, Reading], None]] = {

@@ -124,16 +124,21 @@ def _scores(frame: Frame) -> F64 | None:
         camera = camera.resized(WIDTH, WIDTH * camera.height // camera.width)
     small = cv2.resize(color, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
     near = _nearness(np.asarray(small, np.uint8))
+    total: F64 = np.asarray(cv2.integral(near), float)
     out = np.zeros((2, len(ZOOMS), len(SHIFTS)))
     for i, zoom in enumerate(ZOOMS):
-        for k, shift in enumerate(SHIFTS):
-            at = (rays - shift / z[:, None]) / zoom
-            u, v = np.rint(at * (camera.fx, camera.fy) + (camera.cx, camera.cy)).astype(int).T
-            on = (u >= 0) & (v >= 0) & (u < camera.width) & (v < camera.height)
-            if on.any():
-                # Against the mean of the part of the image that is seen: a busy middle is no sign.
-                part = near[v[on].min() : v[on].max() + 1, u[on].min() : u[on].max() + 1]
-                out[:, i, k] = (near[v[on], u[on]] - part.mean()).sum(), on.sum()
+        # (S, M) columns and rows of the steps under each shift.
+        x, y = (rays[:, axis] - SHIFTS[:, axis, None] / z for axis in (0, 1))
+        u = np.rint(x / zoom * camera.fx + camera.cx).astype(int)
+        v = np.rint(y / zoom * camera.fy + camera.cy).astype(int)
+        on = (u >= 0) & (v >= 0) & (u < camera.width) & (v < camera.height)
+        left, right = np.where(on, u, camera.width).min(1), np.where(on, u, -1).max(1) + 1
+        top, bottom = np.where(on, v, camera.height).min(1), np.where(on, v, -1).max(1) + 1
+        area = np.maximum((right - left) * (bottom - top), 1)
+        # Against the mean of the part of the image that is seen: a busy middle is no sign.
+        part = (total[bottom, right] - total[top, right] - total[bottom, left] + total[top, left]) / area
+        count = on.sum(1)
+        out[:, i] = (near[v * on, u * on] * on).sum(1) - count * part, count
     return out
 
 

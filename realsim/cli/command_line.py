@@ -16,7 +16,7 @@ from realsim.cli.commands import set_arguments
 from realsim.cli.help import help_of, usage
 from realsim.cli.options import UsageError, parse
 from realsim.cli.saved import defaults_of
-from realsim.cli.table import commands, find
+from realsim.cli.table import find
 from realsim.core.engine import check_mujoco
 from realsim.core.errors import RealsimError, explain_missing_packages, require
 from realsim.core.files import to_json
@@ -96,7 +96,7 @@ def _run(name: str, arguments: list[str]) -> Any:
 
 def answer(command: str, data: Mapping[str, Any]) -> dict[str, Any]:
     """What `--json` prints: the data of a command, and first which schema it has (`realsim schema COMMAND`)."""
-    name = schemas.name_of(command, commands()[command].package)
+    name = schemas.name_of(command, find(command).package)
     return dict(data) if name is None else {"schema": name, **data}
 
 

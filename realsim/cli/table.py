@@ -102,7 +102,7 @@ def commands() -> dict[str, Command]:
 
 def find(name: str) -> Command:
     """The command of a name. Raises UnknownNameError with the closest ones."""
-    known = commands()
+    known = COMMANDS if name in COMMANDS else commands()  # to ask what is installed takes longer than many a command
     if name not in known:
         raise UnknownNameError("command", name, known)
     return known[name]

@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import fft
 
 F32 = NDArray[np.float32]
 
@@ -30,9 +31,11 @@ def tile(material: str, seed: int) -> F32:
 
 def noise(rng: np.random.Generator, n: int, low: float, high: float) -> F32:
     """(n, n) band-passed noise of zero mean and unit variance that repeats: waves of `low` to `high` cycles a tile."""
-    k = np.hypot(np.fft.fftfreq(n)[:, None], np.fft.rfftfreq(n)[None, :]) * n
-    spectrum = np.fft.rfft2(rng.standard_normal((n, n))) * ((k >= low) & (k <= high)) / np.maximum(k, 1)
-    out = np.fft.irfft2(spectrum, (n, n))
+    across = np.arange(min(int(high), n // 2) + 1)  # waves that the band has: the transforms need no others
+    k = np.hypot(fft.fftfreq(n)[:, None] * n, across)
+    spectrum = fft.fft(fft.rfft(rng.standard_normal((n, n)))[:, : len(across)], axis=0)
+    spectrum *= ((k >= low) & (k <= high)) / np.maximum(k, 1)
+    out = fft.irfft(fft.ifft(spectrum, axis=0), n)
     return (out / out.std()).astype(np.float32)
 
 

@@ -142,7 +142,7 @@ def test_nothing_outside_the_folders_is_read_or_written(root: Path) -> None:
 
 @pytest.mark.slow
 def test_a_call_that_is_given_up_ends_its_command(root: Path) -> None:
-    assert main(["synth", "--out", str(root / "synth"), "--frames", "4", "--width", "160", "--with-poses"]) == 0
+    make_case(root / "case", ARM, Truth(), runs=3, seed=1, span=(1.0, 1.2))
 
     def commands() -> list[int]:
         found = []
@@ -156,7 +156,7 @@ def test_a_call_that_is_given_up_ends_its_command(root: Path) -> None:
         return found
 
     async def conversation(client: Any) -> None:
-        call = asyncio.create_task(client.call_tool("reconstruct", {"frames": "synth/capture", "out": "scene"}))
+        call = asyncio.create_task(client.call_tool("diagnose", {"cases": "case", "out": "found"}))
         end = time.monotonic() + 240
         while not commands() and time.monotonic() < end:
             await asyncio.sleep(0.1)
@@ -167,7 +167,7 @@ def test_a_call_that_is_given_up_ends_its_command(root: Path) -> None:
         while commands() and time.monotonic() < end:
             await asyncio.sleep(0.1)
         assert not commands()
-        assert not (root / "scene").exists()
+        assert not (root / "found").exists()
 
     talk([root], conversation)
 

@@ -6,7 +6,6 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -14,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.diagnosis.unstable import DRONE, fly
+from benchmarks.diagnosis.unstable import DRONE
 from realsim.gap import Case, DiagnoseConfig, diagnose, load_case
 from realsim.gap.answer.patch import apply_patch
 from realsim.gap.inference.likelihood.comparison import Comparison
@@ -22,39 +21,16 @@ from realsim.gap.inference.likelihood.free_starts import free_starts
 from realsim.gap.simulation.anchors import LEAST
 from realsim.gap.simulation.simulate import Simulator
 
+from .searching import flights
 from .truth import Truth
 
 CONFIG = DiagnoseConfig(threads=1, bootstrap=50)
-LOG = {"joint_names": ["tilt"], "actuator_names": [f"rotor{i}" for i in range(4)], "command_kind": "torque"}
 EFFECTS = replace(CONFIG, effects=("payload", "com_offset", "external_force", "viscous_friction", "thrust_gain"))
-
-
-def flights(
-    folder: Path, *, payload: float = 0.0, com: float = 0.0, thrust: Any = 1.0, runs: int = 4, seconds: float = 3.0
-) -> Case:
-    """Of a drone that is `payload` kg heavier than its model, its centre of mass `com` m in front, its thrust (or that
-    of each rotor) `thrust` times as high."""
-    spec, rng = mujoco.MjSpec.from_string(DRONE), np.random.default_rng(0)
-    spec.body("drone").mass += payload
-    spec.body("drone").ipos = [com, 0.0, 0.0]
-    for rotor, ratio in zip(spec.actuators, np.broadcast_to(thrust, 4), strict=True):
-        rotor.gainprm = rotor.gainprm * ratio
-    (folder / "runs").mkdir(parents=True)
-    (folder / "model.xml").write_text(DRONE)
-    (folder / "log.json").write_text(json.dumps(LOG | {"base": "floating", "torque_kind": "none", "imu_site": "imu"}))
-    for k in range(runs):
-        np.savez(folder / "runs" / f"flight_{k}.npz", **fly(spec.compile(), rng, seconds=seconds))
-    return load_case(folder)
 
 
 @pytest.fixture(scope="module")
 def arm(made: Callable[..., Path]) -> Case:
-    return load_case(made("anchors_law", Truth(), runs=1))
-
-
-@pytest.fixture(scope="module")
-def hovering(tmp_path_factory: pytest.TempPathFactory) -> Case:
-    return flights(tmp_path_factory.mktemp("drone") / "case", runs=2, seconds=2.0)
+    return load_case(made(Truth(), runs=1))
 
 
 def errors(case: Case) -> tuple[list[float], list[float]]:
@@ -88,7 +64,7 @@ def test_what_noise_in_those_states_does_is_no_error(hovering: Case) -> None:
 
 
 def test_a_robot_whose_errors_do_not_grow_is_replayed_as_a_whole(made: Callable[..., Path]) -> None:
-    case = load_case(made("anchors", Truth(armature={"elbow": 0.2})))
+    case = load_case(made(Truth(armature={"elbow": 0.2})))
     with Simulator(case, CONFIG) as simulator:
         assert not any(start.anchors for start in simulator.starts)
         nominal = simulator.simulate()

@@ -38,7 +38,7 @@ FOUR_BAR = """
 def case(made, tmp_path: Path) -> Path:
     """A private copy to spoil."""
     folder = tmp_path / "case"
-    shutil.copytree(made("plain", Truth()), folder)
+    shutil.copytree(made(Truth()), folder)
     return folder
 
 
@@ -200,7 +200,7 @@ def test_exploding_model_is_named_with_the_time(case: Path) -> None:
 
 def test_torque_in_other_units_is_refused_until_log_json_says_so(made, tmp_path: Path) -> None:
     folder = tmp_path / "case"
-    shutil.copytree(made("torque", Truth(), torque="measured"), folder)
+    shutil.copytree(made(Truth(), torque="measured"), folder)
     for path in (folder / "runs").glob("*.npz"):
         change(folder, path.stem, joint_torque=lambda t: 1000 * t)
     with pytest.raises(GapError, match="joint_torque looks like mN m"):
@@ -384,7 +384,7 @@ def test_a_run_that_stands_for_minutes_is_used_from_where_it_moves(case: Path) -
 
 @pytest.mark.parametrize("effect", ["camera_delay", "ground_friction"])
 def test_effects_that_cannot_act_name_no_first_cause(made, effect: str) -> None:
-    folder = made("no_effects", Truth(coulomb={"elbow": 2.0}), runs=3, span=(1.5, 1.6))
+    folder = made(Truth(coulomb={"elbow": 2.0}), runs=3, span=(1.5, 1.6))
     found = diagnose(load_case(folder), DiagnoseConfig(effects=(effect,), bootstrap=20, threads=1))
     assert found.verdict == "unexplained"
     assert found.causes == ()

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from realsim.gap import Case, DiagnoseConfig, load_case
+from realsim.gap import Case, load_case
 from realsim.gap.answer.diagnosis import ranked_effects
 from realsim.gap.figures import CLEARLY, PRICE
 from realsim.gap.inference.causes.fit import Cause, Fit, Fitter
@@ -18,23 +18,18 @@ from realsim.gap.inference.causes.proposals import ADD, EXCHANGE, Propose, ranke
 from realsim.gap.inference.causes.score import doubts, left_out, score
 from realsim.gap.inference.causes.search import Search
 from realsim.gap.inference.causes.select import Selection, select
-from realsim.gap.inference.likelihood.comparison import Comparison
 from realsim.gap.inference.likelihood.linear import Evidence, bounded
-from realsim.gap.inference.likelihood.screen import Screen
 from realsim.gap.simulation.simulate import Simulator
 
-from .test_recovery import logged
+from .searching import CONFIG, fitting, logged
 from .truth import PENDULUM, Truth
 
-CONFIG = DiagnoseConfig(threads=1, settle_seconds=0.3)
 PAIR = ("stiffness_gain", "armature", "damping_gain", "motor_gain")
 
 
 def searched(case: Case, runs: list[int], effects: tuple[str, ...] = ()) -> Selection:
-    with Simulator(case, CONFIG) as simulator:
-        comparison = Comparison(case, simulator.channels, simulator.simulate(), CONFIG, runs)
-        screen = Screen(simulator, comparison, runs, effects)
-        return select(screen, Fitter(screen), CONFIG)
+    with fitting(case, effects, runs) as fitter:
+        return select(fitter.screen, fitter, CONFIG)
 
 
 def found(selection: Selection) -> list[set[str]]:
@@ -45,7 +40,7 @@ def found(selection: Selection) -> list[set[str]]:
 @pytest.fixture(scope="module")
 def pair(made) -> Case:
     """A softer servo and a heavier rotor at the same joint."""
-    nominal = load_case(made("causes", Truth(), runs=3))
+    nominal = load_case(made(Truth(), runs=3))
     with Simulator(nominal, CONFIG) as simulator:
         joint = simulator.context.driven[0]
         armature = 1.5 * simulator.context.inertia[joint]
@@ -56,9 +51,8 @@ def pair(made) -> Case:
 
 @pytest.fixture(scope="module")
 def fitter(pair: Case):
-    with Simulator(pair, CONFIG) as simulator:
-        comparison = Comparison(pair, simulator.channels, simulator.simulate(), CONFIG)
-        yield Fitter(Screen(simulator, comparison, range(3), (*PAIR, "link_inertia")))
+    with fitting(pair, (*PAIR, "link_inertia")) as fitter:
+        yield fitter
 
 
 def fit(fitter: Fitter, **values: float) -> Fit:
@@ -99,14 +93,14 @@ def test_a_set_that_the_search_comes_back_to_may_still_get_another_cause(fitter:
 @pytest.mark.slow
 def test_a_late_command_beside_a_weak_damper_is_found_with_it(made) -> None:
     """Each alone swings otherwise than both, so that neither explains much of the gap by itself."""
-    nominal = load_case(made("causes_pendulum", Truth(), xml=PENDULUM, runs=4))
+    nominal = load_case(made(Truth(), xml=PENDULUM, runs=4))
     case = logged(nominal, [("damping_gain", ("swing",), {"ratio": -0.7}), ("command_delay", (), {"delay": 0.03})])
     rivals = ("damping_gain", "command_delay", "armature", "stiffness_gain")
     assert {"damping_gain", "command_delay"} in found(searched(case, [0, 1, 2], rivals))
 
 
 def test_nuisance_parameters_that_imitate_a_cause_do_not_make_it_smaller(made) -> None:
-    nominal = load_case(made("causes_pendulum", Truth(), xml=PENDULUM, runs=4))
+    nominal = load_case(made(Truth(), xml=PENDULUM, runs=4))
     case = logged(nominal, [("com_offset", ("arm",), {"z": 0.02})])
     best = searched(case, [0, 1, 2, 3], ("com_offset", "armature", "coulomb_friction")).fit
     (cause,) = best.causes
@@ -133,9 +127,7 @@ def test_of_a_single_run_none_is_left_out_and_that_is_said(pair: Case) -> None:
 def test_a_run_is_left_out_with_values_that_are_fitted_to_the_others(fitter: Fitter, pair: Case) -> None:
     """One step from the values that suit all runs is as good as a fit to the others."""
     all_runs = fit(fitter, stiffness_gain=-0.3)
-    with Simulator(pair, CONFIG) as simulator:
-        comparison = Comparison(pair, simulator.channels, simulator.simulate(), CONFIG)
-        few = Fitter(Screen(simulator, comparison, [1, 2], (*PAIR, "link_inertia")))
+    with fitting(pair, (*PAIR, "link_inertia"), [1, 2]) as few:
         others = few.fit(all_runs.causes, iterations=8)
         assert others is not None
         whole = fitter.looked_at(all_runs, others.causes)

@@ -21,7 +21,7 @@ from realsim.gap.inference.likelihood.comparison import Comparison
 from realsim.gap.inference.likelihood.screen import Screen
 from realsim.gap.simulation.simulate import Simulator
 
-from .test_recovery import logged
+from .searching import fitting, logged
 from .truth import Truth
 
 EFFECTS = ("coulomb_friction", "viscous_friction", "stribeck_friction", "load_friction", "stiffness_gain")
@@ -31,7 +31,7 @@ PLAIN = replace(CONFIG, effects=("coulomb_friction", "viscous_friction"))
 
 @pytest.fixture(scope="module")
 def arm(made: Callable[..., Path]) -> Case:
-    return load_case(made("conclusion", Truth(), runs=4, span=(2.2, 2.6)))
+    return load_case(made(Truth(), runs=4, span=(2.2, 2.6)))
 
 
 @pytest.fixture(scope="module")
@@ -41,9 +41,8 @@ def sticky(arm: Case) -> Case:
 
 @pytest.fixture(scope="module")
 def fitter(sticky: Case) -> Iterator[Fitter]:
-    with Simulator(sticky, CONFIG) as simulator:
-        comparison = Comparison(sticky, simulator.channels, simulator.simulate(), CONFIG, [0, 1, 2])
-        yield Fitter(Screen(simulator, comparison, [0, 1, 2], EFFECTS))
+    with fitting(sticky, EFFECTS, [0, 1, 2]) as fitter:
+        yield fitter
 
 
 def cause(fitter: Fitter, effect: str, *values: float) -> Cause:
@@ -177,9 +176,7 @@ def test_a_law_without_its_own_part_is_no_rival(fitter: Fitter) -> None:
 def test_a_weaker_servo_is_compared_with_load_friction(arm: Case) -> None:
     """Holding or lifting, friction of r times the torque looks like kp / (1 + r): two real cases were called so."""
     weak = logged(arm, [("stiffness_gain", ("shoulder",), {"ratio": -0.25})])
-    with Simulator(weak, CONFIG) as simulator:
-        comparison = Comparison(weak, simulator.channels, simulator.simulate(), CONFIG, [0, 1, 2])
-        its = Fitter(Screen(simulator, comparison, [0, 1, 2], EFFECTS))
+    with fitting(weak, EFFECTS, [0, 1, 2]) as its:
         fit = its.fit([cause(its, "load_friction", 0.28)])
         assert fit is not None
         notes: list[str] = []

@@ -3,33 +3,21 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from realsim.gap import EFFECTS, Case, DiagnoseConfig
+from realsim.gap import EFFECTS, Case
 from realsim.gap.inference.causes.fit import Cause, Fit, Fitter
 from realsim.gap.inference.causes.leftover import deviations, is_gap, leftover
 from realsim.gap.inference.causes.proposals import by_simulation
 from realsim.gap.inference.causes.search import Search, second_look
-from realsim.gap.inference.likelihood.comparison import Comparison
-from realsim.gap.inference.likelihood.screen import Candidate, Screen
-from realsim.gap.simulation.simulate import Simulator
+from realsim.gap.inference.likelihood.screen import Candidate
 
-from .test_recovery import logged, quadruped  # noqa: F401
+from .searching import fitting, logged
 
-CONFIG = DiagnoseConfig(threads=1, settle_seconds=0.3)
 pytestmark = pytest.mark.slow
-
-
-@contextmanager
-def fitter_for(case: Case, effects: tuple[str, ...]) -> Iterator[Fitter]:
-    with Simulator(case, CONFIG) as simulator:
-        comparison = Comparison(case, simulator.channels, simulator.simulate(), CONFIG)
-        yield Fitter(Screen(simulator, comparison, range(len(case.runs)), effects))
 
 
 def candidate(fitter: Fitter, effect: str, *place: str) -> Candidate:
@@ -42,11 +30,11 @@ def at(fitter: Fitter, effect: str, place: str, value: float) -> Fit:
     return fit
 
 
-def test_causes_and_deviations_are_settled_together_and_nothing_else_moves(quadruped: Case) -> None:  # noqa: F811
+def test_causes_and_deviations_are_settled_together_and_nothing_else_moves(settled: Case) -> None:
     weaker = [("motor_gain", (j,), {"ratio": 0.04}) for j in ("fl_thigh", "hr_calf")]
     cause = ("coulomb_friction", ("fl_calf",), {"friction": 1.0})
-    case = logged(logged(quadruped, []), [cause, *weaker])
-    with fitter_for(case, ("coulomb_friction", "motor_gain")) as fitter:
+    case = logged(settled, [cause, *weaker])
+    with fitting(case, ("coulomb_friction", "motor_gain")) as fitter:
         before, about = at(fitter, "coulomb_friction", "fl_calf", 0.8), fitter.about.copy()
         after = fitter.settled(before)
         assert np.array_equal(fitter.about, about)
@@ -55,11 +43,11 @@ def test_causes_and_deviations_are_settled_together_and_nothing_else_moves(quadr
         assert 0.8 < after.causes[0].values[0] < 1.1
 
 
-def test_deviations_move_by_part_of_a_step_that_goes_too_far(quadruped: Case, monkeypatch) -> None:  # noqa: F811
+def test_deviations_move_by_part_of_a_step_that_goes_too_far(settled: Case, monkeypatch) -> None:
     """Slopes of feet that land may overshoot: here by a factor of three."""
     weaker = [("motor_gain", (j,), {"ratio": 0.04}) for j in ("fl_thigh", "hr_calf")]
-    case = logged(logged(quadruped, []), weaker)
-    with fitter_for(case, ("motor_gain",)) as fitter:
+    case = logged(settled, weaker)
+    with fitting(case, ("motor_gain",)) as fitter:
         before = fitter.nominal()
         monkeypatch.setattr(
             "realsim.gap.inference.causes.fit.deviations", lambda screen, fit: 3 * deviations(screen, fit)
@@ -68,11 +56,11 @@ def test_deviations_move_by_part_of_a_step_that_goes_too_far(quadruped: Case, mo
         assert fitter._cost(after) < 0.5 * fitter._cost(before)
 
 
-def test_a_set_may_have_the_deviations_that_its_neighbours_found(quadruped: Case, monkeypatch) -> None:  # noqa: F811
+def test_a_set_may_have_the_deviations_that_its_neighbours_found(settled: Case, monkeypatch) -> None:
     """Else a cause that does nothing gains what only other deviations do."""
     weaker = [("motor_gain", (j,), {"ratio": 0.04}) for j in ("fl_thigh", "hr_calf")]
-    case = logged(logged(quadruped, []), weaker)
-    with fitter_for(case, ("coulomb_friction", "motor_gain")) as fitter:
+    case = logged(settled, weaker)
+    with fitting(case, ("coulomb_friction", "motor_gain")) as fitter:
         nothing, idle = fitter.nominal(), at(fitter, "coulomb_friction", "fl_calf", 0.0)
         lucky = fitter.beside_own(idle)
         monkeypatch.setattr(fitter, "settled", lambda fit: lucky if fit.causes else fit)
@@ -85,11 +73,11 @@ def test_a_set_may_have_the_deviations_that_its_neighbours_found(quadruped: Case
 
 
 @pytest.mark.slow
-def test_a_window_slides_to_where_the_push_was(quadruped: Case) -> None:  # noqa: F811
+def test_a_window_slides_to_where_the_push_was(settled: Case) -> None:
     """Though slopes say nothing of a time that is a quarter of a second off."""
     push = {"fx": 0.0, "fy": 0.0, "fz": -30.0}
-    case = logged(logged(quadruped, []), [("external_force", ("trunk",), push | {"start": 0.6, "end": 1.3})])
-    with fitter_for(case, ("external_force",)) as fitter:
+    case = logged(settled, [("external_force", ("trunk",), push | {"start": 0.6, "end": 1.3})])
+    with fitting(case, ("external_force",)) as fitter:
         trunk = next(c for c in fitter.screen.candidates if c.place == ("trunk",) and c.names == tuple(push))
         every = {p.name: p for p in EFFECTS["external_force"].parameters(fitter.screen.simulator.context, ("trunk",))}
         brief = replace(trunk, parameters=tuple(every[n] for n in (*push, "start", "end")))
@@ -101,28 +89,28 @@ def test_a_window_slides_to_where_the_push_was(quadruped: Case) -> None:  # noqa
     assert found["end"] == pytest.approx(1.3, abs=0.05)
 
 
-def test_beside_causes_that_leave_no_gap_nothing_is_simulated_on_a_guess(quadruped: Case) -> None:  # noqa: F811
+def test_beside_causes_that_leave_no_gap_nothing_is_simulated_on_a_guess(settled: Case) -> None:
     higher = ("terrain_height", ("block_2",), {"height": 0.015})
-    with fitter_for(logged(logged(quadruped, []), [higher]), ("terrain_height", "ground_friction")) as fitter:
+    with fitting(logged(settled, [higher]), ("terrain_height", "ground_friction")) as fitter:
         for height, proposed in ((0.015, False), (-0.01, True)):
             there = fitter.reweighted(at(fitter, "terrain_height", "block_2", height))
             assert any(by_simulation(fitter, there)) == proposed
 
 
-def test_a_height_is_found_short_of_one_at_which_the_foot_meets_other_ground(quadruped: Case) -> None:  # noqa: F811
-    case = logged(logged(quadruped, []), [("terrain_height", ("block_2",), {"height": -0.0155})])
-    with fitter_for(case, ("terrain_height",)) as fitter:
+def test_a_height_is_found_short_of_one_at_which_the_foot_meets_other_ground(settled: Case) -> None:
+    case = logged(settled, [("terrain_height", ("block_2",), {"height": -0.0155})])
+    with fitting(case, ("terrain_height",)) as fitter:
         best = next(by_simulation(fitter, fitter.nominal())).causes[0]
     assert best.candidate.place == ("block_2",)
     assert best.named == {"height": pytest.approx(-0.015)}
 
 
-def test_ground_that_slants_is_looked_at_about_each_axis(quadruped: Case, monkeypatch) -> None:  # noqa: F811
+def test_ground_that_slants_is_looked_at_about_each_axis(settled: Case, monkeypatch) -> None:
     """Slopes of feet that slip and land tell badly which way: their direction alone would miss it."""
     wrong = lambda screen, here: [(0.0, c, np.ones(len(c.linear))) for c in screen.candidates]  # noqa: E731
     monkeypatch.setattr("realsim.gap.inference.causes.proposals.ranked", wrong)
-    case = logged(logged(quadruped, []), [("terrain_tilt", (), {"roll": -0.03})])
-    with fitter_for(case, ("terrain_tilt",)) as fitter:
+    case = logged(settled, [("terrain_tilt", (), {"roll": -0.03})])
+    with fitting(case, ("terrain_tilt",)) as fitter:
         best = next(by_simulation(fitter, fitter.nominal())).causes[0]
     assert best.candidate.names == ("roll",)
     assert best.named["roll"] == pytest.approx(-0.03, abs=0.01)
@@ -130,7 +118,7 @@ def test_ground_that_slants_is_looked_at_about_each_axis(quadruped: Case, monkey
 
 @pytest.mark.parametrize(("left", "gap"), [(1.3, False), (1.5, True)])
 def test_whether_there_is_a_gap_is_judged_beside_simulated_deviations(
-    quadruped: Case,  # noqa: F811
+    quadruped: Case,
     monkeypatch: pytest.MonkeyPatch,
     left: float,
     gap: bool,
@@ -140,7 +128,7 @@ def test_whether_there_is_a_gap_is_judged_beside_simulated_deviations(
     monkeypatch.setattr(Search, "_proposed", lambda *_: iter(()))
     monkeypatch.setattr("realsim.gap.inference.causes.search.leftover", lambda *_: next(stays))
     case = logged(quadruped, [("coulomb_friction", ("fl_calf",), {"friction": 1.0})])
-    with fitter_for(case, ("coulomb_friction",)) as fitter:
+    with fitting(case, ("coulomb_friction",)) as fitter:
         search = Search(fitter, 3, fitter.nominal())
         search.run(lambda *_: None)
         assert fitter.screen.gap is gap

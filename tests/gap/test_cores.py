@@ -8,17 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from realsim.gap import DiagnoseConfig, load_case
-from realsim.gap.inference.causes.fit import Cause, Fitter
-from realsim.gap.inference.likelihood.comparison import Comparison
-from realsim.gap.inference.likelihood.screen import Screen
+from realsim.gap import load_case
+from realsim.gap.inference.causes.fit import Cause
 from realsim.gap.simulation.cores import Cores
-from realsim.gap.simulation.simulate import Simulator
 
-from .test_recovery import logged
+from .searching import CONFIG, fitting, logged
 from .truth import Truth
 
-CONFIG = DiagnoseConfig(threads=1, settle_seconds=0.3)
 EFFECTS = ("motor_gain", "armature", "load_friction", "backlash")
 
 
@@ -52,16 +48,14 @@ def test_a_failure_is_the_caller_s() -> None:
 
 
 def test_two_cores_find_what_one_does(made) -> None:
-    nominal = load_case(made("cores", Truth(), runs=3))
+    nominal = load_case(made(Truth(), runs=3))
     case = logged(nominal, [("motor_gain", ("elbow",), {"ratio": -0.2})])
     found = []
     for threads in (1, 2):
-        config = replace(CONFIG, threads=threads)
-        with Simulator(case, config) as simulator:
-            comparison = Comparison(case, simulator.channels, simulator.simulate(), config)
-            screen = Screen(simulator, comparison, range(len(case.runs)), EFFECTS)
+        with fitting(case, EFFECTS, config=replace(CONFIG, threads=threads)) as fitter:
+            screen = fitter.screen
             cause = next(c for c in screen.candidates if (c.effect, c.place) == ("motor_gain", ("elbow",)))
-            fit = Fitter(screen).fit([Cause(cause, (-0.05,))], starts=[[-0.3], [0.1]])
+            fit = fitter.fit([Cause(cause, (-0.05,))], starts=[[-0.3], [0.1]])
             assert fit is not None
             screen.relinearise(fit.settings())
             columns = [screen.columns(k, range(len(screen.atoms))) for k in range(len(case.runs))]

@@ -28,7 +28,7 @@ MAP = {
 def case(made: Callable[..., Path], tmp_path: Path) -> Path:
     """The plain case with its runs as CSV files of other units, names and signs."""
     folder = tmp_path / "case"
-    shutil.copytree(made("plain", Truth()), folder)
+    shutil.copytree(made(Truth()), folder)
     for path in sorted((folder / "runs").glob("*.npz")):
         with np.load(path) as data:
             deg = np.degrees
@@ -65,7 +65,7 @@ def edit(folder: Path, change: Callable[[list[str]], list[str]]) -> None:
 
 
 def test_csv_is_npz_in_other_units(case: Path, made: Callable[..., Path]) -> None:
-    ours, theirs = load_case(case), load_case(made("plain", Truth()))
+    ours, theirs = load_case(case), load_case(made(Truth()))
     assert [r.name for r in ours.runs] == [r.name for r in theirs.runs]
     for a, b in zip(ours.runs, theirs.runs, strict=True):
         np.testing.assert_allclose(a.time, b.time, atol=1e-6)
@@ -87,13 +87,13 @@ def test_columns_with_the_contracts_own_names_need_no_map(case: Path) -> None:
 
 def test_units_of_npz_runs_stand_in_log_json(made: Callable[..., Path], tmp_path: Path) -> None:
     folder = tmp_path / "case"
-    shutil.copytree(made("plain", Truth()), folder)
+    shutil.copytree(made(Truth()), folder)
     log = json.loads((folder / "log.json").read_text())
     (folder / "log.json").write_text(json.dumps(log | {"units": {"time": "ms", "joint_pos": "deg"}}))
     for path in (folder / "runs").glob("*.npz"):
         with np.load(path) as data:
             np.savez(path, **{**data, "time": 1e3 * data["time"], "joint_pos": np.degrees(data["joint_pos"])})
-    ours, theirs = load_case(folder).runs[0], load_case(made("plain", Truth())).runs[0]
+    ours, theirs = load_case(folder).runs[0], load_case(made(Truth())).runs[0]
     np.testing.assert_allclose(ours.time, theirs.time, atol=1e-9)
     np.testing.assert_allclose(ours.signals["joint_pos"], theirs.signals["joint_pos"], atol=1e-6)
 
@@ -146,7 +146,7 @@ def test_same_run_twice_is_refused(case: Path) -> None:
 
 def test_a_sign_and_a_unit_hold_for_all_columns(case: Path, made: Callable[..., Path]) -> None:
     remap(case, joint_vel={"columns": ["s_vel", "e_vel"], "unit": "rpm", "sign": -1})
-    ours, theirs = load_case(case).runs[0], load_case(made("plain", Truth())).runs[0]
+    ours, theirs = load_case(case).runs[0], load_case(made(Truth())).runs[0]
     np.testing.assert_allclose(ours.signals["joint_vel"], -theirs.signals["joint_vel"], atol=1e-5)
 
 

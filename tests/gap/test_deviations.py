@@ -14,7 +14,7 @@ from realsim.gap.effects import EFFECTS
 from realsim.gap.provenance import provenance
 from realsim.gap.simulation.simulate import Simulator
 
-from .test_recovery import logged
+from .searching import logged
 from .truth import FINE, Truth
 
 
@@ -26,7 +26,7 @@ def config(folder: Path, sizes: object) -> DiagnoseConfig:
 
 @pytest.fixture(scope="module")
 def folder(made: Callable[..., Path]) -> Path:
-    return made("deviations", Truth(coulomb={"shoulder": 0.7}), runs=3, span=(2.2, 2.6))
+    return made(Truth(coulomb={"shoulder": 0.7}), runs=3, span=(2.2, 2.6))
 
 
 def test_sizes_are_in_the_reported_unit_and_by_place(folder: Path, tmp_path: Path) -> None:
@@ -43,7 +43,7 @@ def test_sizes_are_in_the_reported_unit_and_by_place(folder: Path, tmp_path: Pat
 
 @pytest.mark.parametrize(("steps", "named"), [(0.1, set()), (2.0, {"joint_compliance"})])
 def test_any_joint_gives_a_little(steps: float, named: set[str], made: Callable[..., Path]) -> None:
-    case = load_case(made("gives", Truth(), FINE, runs=3))
+    case = load_case(made(Truth(), FINE, runs=3))
     with Simulator(case, DiagnoseConfig(threads=1)) as simulator:
         (p,) = EFFECTS["joint_compliance"].parameters(simulator.context, ("shoulder",))
     soft = logged(case, [("joint_compliance", ("shoulder",), {"stiffness": steps * p.step})])

@@ -21,7 +21,7 @@ def test_parts_that_a_log_does_not_support_say_so(made, tmp_path: Path) -> None:
     meta = {"joint_names": ",".join(JOINTS), "observation_names": "joint_pos"} | dict.fromkeys(numbers, six)
     policy = onnx_policy(tmp_path / "policy.onnx", 6, meta)
     config = DiagnoseConfig(effects=("payload",), max_causes=1, max_seconds=1.0, max_runs=2, threads=1)
-    case = made("plain", Truth())
+    case = made(Truth())
     found = run_doctor(case, tmp_path / "out", lambda *_: None, policy=policy, config=config)
     parts = {p["name"]: p for p in found["parts"]}
     assert list(parts) == ["contract", "delay", "physics", "camera", "terrain"]

@@ -18,11 +18,8 @@ from realsim.gap import EFFECTS, DiagnoseConfig, diagnose, explain, load_case
 from realsim.gap.effects import Effects
 from realsim.gap.simulation.simulate import Simulator
 
-from .test_anchors import hovering
-from .test_recovery import UNSEEN, quadruped
+from .test_recovery import UNSEEN
 from .truth import ARM, Truth, make_case
-
-__all__ = ["hovering", "quadruped"]  # fixtures
 
 CONTRACT = sorted(EFFECTS.own)
 
@@ -63,7 +60,7 @@ def test_every_effect_explains_itself(name: str) -> None:
 
 @pytest.fixture(scope="module")
 def simulator(made):
-    with Simulator(load_case(made("plain", Truth())), DiagnoseConfig()) as found:
+    with Simulator(load_case(made(Truth())), DiagnoseConfig()) as found:
         yield found
 
 
@@ -218,7 +215,7 @@ def test_an_installed_package_without_an_effect_is_refused(
 
 @pytest.mark.slow
 def test_no_gap_with_the_whole_library(made) -> None:
-    found = diagnose(load_case(made("none", Truth(), seed=100)))
+    found = diagnose(load_case(made(Truth(), seed=100)))
     assert found.verdict == "no_gap"
     assert not found.causes
 
@@ -227,7 +224,7 @@ def test_no_gap_with_the_whole_library(made) -> None:
 @pytest.mark.parametrize("name", INJECTED)
 def test_found_where_injected(name: str, made) -> None:
     """By name, or as a named equivalent where the log cannot tell."""
-    case = load_case(made(f"all_{name}", INJECTED[name], torque="measured", runs=3))
+    case = load_case(made(INJECTED[name], torque="measured", runs=3))
     found = diagnose(case)
     named = {c["effect"] for s in [found.causes, *found.equivalent] for c in s}
     assert found.verdict in ("identified", "ambiguous", "partly_explained")
@@ -240,5 +237,5 @@ def test_found_where_injected(name: str, made) -> None:
 
 @pytest.mark.slow
 def test_outside_the_library_is_unexplained(made) -> None:
-    found = diagnose(load_case(made("ripple", Truth(ripple={"shoulder": 2.0}), runs=3)))
+    found = diagnose(load_case(made(Truth(ripple={"shoulder": 2.0}), runs=3)))
     assert found.verdict in ("unexplained", "partly_explained")

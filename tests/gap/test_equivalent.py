@@ -7,71 +7,62 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from realsim.gap import Case, DiagnoseConfig, diagnose, load_case
+from realsim.gap import Case, diagnose, load_case
 from realsim.gap.effects import EFFECTS
-from realsim.gap.inference.causes.fit import Cause, Fitter
+from realsim.gap.inference.causes.fit import Cause
 from realsim.gap.inference.causes.fitted import values_of
 from realsim.gap.inference.causes.proposals import by_effect
 from realsim.gap.inference.causes.score import alike, bent, score
 from realsim.gap.inference.causes.select import _in_order, _richer
-from realsim.gap.inference.likelihood.comparison import Comparison
-from realsim.gap.inference.likelihood.screen import Screen
 from realsim.gap.simulation.simulate import Simulator
 
-from .test_recovery import logged
+from .searching import CONFIG, fitting, logged
 from .truth import Truth
-
-CONFIG = DiagnoseConfig(threads=1, settle_seconds=0.3)
 
 
 @pytest.fixture(scope="module")
 def arm(made) -> Case:
-    return load_case(made("equivalent", Truth(), runs=3))
+    return load_case(made(Truth(), runs=3))
 
 
 def test_a_law_that_contains_another_is_compared_with_it_both_ways(arm: Case) -> None:
-    with Simulator(arm, CONFIG) as simulator:
-        comparison = Comparison(arm, simulator.channels, simulator.simulate(), CONFIG)
-        fitter = Fitter(Screen(simulator, comparison, range(3), ("stribeck_friction", "coulomb_friction")))
-    full = next(c for c in fitter.screen.candidates if c.effect == "stribeck_friction" and "coulomb" in c.names)
-    values = {"static_friction": 0.1, "coulomb": 0.4, "stribeck_velocity": 0.1}
-    rich = Cause(full, tuple(values[n] for n in full.names))
-    others = [p.causes[0] for p in by_effect(fitter, replace(fitter.nominal(), causes=(rich,)))]
-    (plain,) = (c for c in others if c.candidate.effect == "coulomb_friction")
-    assert plain.candidate.places == full.places
-    assert plain.values == (0.4,)
-    (back,) = by_effect(fitter, replace(fitter.nominal(), causes=(plain,)))
-    assert back.causes[0].candidate.key == full.key
-    assert back.causes[0].named["coulomb"] == 0.4
+    with fitting(arm, ("stribeck_friction", "coulomb_friction")) as fitter:
+        full = next(c for c in fitter.screen.candidates if c.effect == "stribeck_friction" and "coulomb" in c.names)
+        values = {"static_friction": 0.1, "coulomb": 0.4, "stribeck_velocity": 0.1}
+        rich = Cause(full, tuple(values[n] for n in full.names))
+        others = [p.causes[0] for p in by_effect(fitter, replace(fitter.nominal(), causes=(rich,)))]
+        (plain,) = (c for c in others if c.candidate.effect == "coulomb_friction")
+        assert plain.candidate.places == full.places
+        assert plain.values == (0.4,)
+        (back,) = by_effect(fitter, replace(fitter.nominal(), causes=(plain,)))
+        assert back.causes[0].candidate.key == full.key
+        assert back.causes[0].named["coulomb"] == 0.4
 
 
 def test_a_law_that_holds_another_one_is_said_only_where_its_score_is_lower(arm: Case) -> None:
-    with Simulator(arm, CONFIG) as simulator:
-        comparison = Comparison(arm, simulator.channels, simulator.simulate(), CONFIG)
-        effects = ("stribeck_friction", "coulomb_friction", "armature")
-        fitter = Fitter(Screen(simulator, comparison, range(3), effects))
-    nominal, by_effect = fitter.nominal(), {}
-    for c in fitter.screen.candidates:
-        by_effect.setdefault(c.effect, Cause(c, (0.0,) * len(c.names)))
-    plain, rich, other = (
-        replace(nominal, causes=tuple(by_effect[n] for n in names))
-        for names in (
-            ("coulomb_friction", "armature"),
-            ("stribeck_friction", "armature"),
-            ("stribeck_friction",),
+    with fitting(arm, ("stribeck_friction", "coulomb_friction", "armature")) as fitter:
+        nominal, by_effect = fitter.nominal(), {}
+        for c in fitter.screen.candidates:
+            by_effect.setdefault(c.effect, Cause(c, (0.0,) * len(c.names)))
+        plain, rich, other = (
+            replace(nominal, causes=tuple(by_effect[n] for n in names))
+            for names in (
+                ("coulomb_friction", "armature"),
+                ("stribeck_friction", "armature"),
+                ("stribeck_friction",),
+            )
         )
-    )
-    assert _richer(rich, plain)
-    assert not _richer(plain, rich)
-    assert not _richer(other, replace(nominal, causes=(by_effect["armature"],)))
-    assert not _richer(plain, plain)
+        assert _richer(rich, plain)
+        assert not _richer(plain, rich)
+        assert not _richer(other, replace(nominal, causes=(by_effect["armature"],)))
+        assert not _richer(plain, plain)
 
-    screen = fitter.screen
-    plain, rich = (replace(f, covariance=np.zeros((len(values_of(f.causes)),) * 2)) for f in (plain, rich))
-    level = replace(rich, misfit=rich.misfit + score(screen, plain) - score(screen, rich))
-    worse, better = (replace(level, misfit=level.misfit + nats) for nats in (1.0, -1.0))
-    assert [f is plain for f in _in_order(screen, [worse, plain])] == [True]
-    assert [f is plain for f in _in_order(screen, [plain, better])] == [False, True]
+        screen = fitter.screen
+        plain, rich = (replace(f, covariance=np.zeros((len(values_of(f.causes)),) * 2)) for f in (plain, rich))
+        level = replace(rich, misfit=rich.misfit + score(screen, plain) - score(screen, rich))
+        worse, better = (replace(level, misfit=level.misfit + nats) for nats in (1.0, -1.0))
+        assert [f is plain for f in _in_order(screen, [worse, plain])] == [True]
+        assert [f is plain for f in _in_order(screen, [plain, better])] == [False, True]
 
 
 def test_what_an_effect_is_taken_for_is_among_what_it_suggests(arm: Case) -> None:
@@ -131,36 +122,33 @@ def test_a_rotor_and_the_link_that_it_turns_first_are_alike(arm: Case) -> None:
 @pytest.mark.parametrize("moving", [False, True])
 def test_twins_are_alike_whatever_the_steps_of_the_simulator_make_of_them(arm: Case, moving: bool) -> None:
     """Of a robot that begins at rest, joints alone do not tell late commands from late readings."""
-    with Simulator(arm, CONFIG) as simulator:
-        comparison = Comparison(arm, simulator.channels, simulator.simulate(), CONFIG)
-        fitter = Fitter(Screen(simulator, comparison, range(3), ("command_delay", "observation_delay")))
-    fits = []
-    for effect in ("command_delay", "observation_delay"):
-        candidate = next(c for c in fitter.screen.candidates if c.effect == effect)
-        fits.append(fitter.looked_at(fitter.nominal(), [Cause(candidate, (0.02,))]))
-    best, rival = fits
-    assert best is not None
-    assert rival is not None
-    if moving:
-        simulator.starts = tuple(replace(s, qpos=np.zeros(arm.model.nq)) for s in simulator.starts)
-    rival = replace(rival, misfit=best.misfit + 1e4)
-    assert alike(fitter, best, rival, removed=1e3) is not moving
+    with fitting(arm, ("command_delay", "observation_delay")) as fitter:
+        fits = []
+        for effect in ("command_delay", "observation_delay"):
+            candidate = next(c for c in fitter.screen.candidates if c.effect == effect)
+            fits.append(fitter.looked_at(fitter.nominal(), [Cause(candidate, (0.02,))]))
+        best, rival = fits
+        assert best is not None
+        assert rival is not None
+        simulator = fitter.screen.simulator
+        if moving:
+            simulator.starts = tuple(replace(s, qpos=np.zeros(arm.model.nq)) for s in simulator.starts)
+        rival = replace(rival, misfit=best.misfit + 1e4)
+        assert alike(fitter, best, rival, removed=1e3) is not moving
 
 
 def test_a_size_that_no_such_robot_has_comes_after_one_that_it_may_have(arm: Case) -> None:
     """However well it fits: it can be bent to whatever is wrong."""
-    with Simulator(arm, CONFIG) as simulator:
-        comparison = Comparison(arm, simulator.channels, simulator.simulate(), CONFIG)
-        fitter = Fitter(Screen(simulator, comparison, range(3), ("coulomb_friction", "armature")))
-    rotor, friction = (
-        next(c for c in fitter.screen.candidates if c.effect == n) for n in ("armature", "coulomb_friction")
-    )
-    nominal, most = fitter.nominal(), rotor.parameters[0].plausible[0]
-    huge, usual = (
-        replace(nominal, causes=(Cause(rotor, (size * most,)),), covariance=np.eye(1), misfit=nominal.misfit - 30)
-        for size in (1.5, 0.2)
-    )
-    plain = replace(nominal, causes=(Cause(friction, (0.2,)),), covariance=np.eye(1), misfit=nominal.misfit - 20)
-    assert [f is plain for f in _in_order(fitter.screen, [huge, plain])] == [True, False]
-    assert [f is plain for f in _in_order(fitter.screen, [usual, plain])] == [False, True]
-    assert bent(nominal, huge) > 0 == bent(nominal, usual)
+    with fitting(arm, ("coulomb_friction", "armature")) as fitter:
+        rotor, friction = (
+            next(c for c in fitter.screen.candidates if c.effect == n) for n in ("armature", "coulomb_friction")
+        )
+        nominal, most = fitter.nominal(), rotor.parameters[0].plausible[0]
+        huge, usual = (
+            replace(nominal, causes=(Cause(rotor, (size * most,)),), covariance=np.eye(1), misfit=nominal.misfit - 30)
+            for size in (1.5, 0.2)
+        )
+        plain = replace(nominal, causes=(Cause(friction, (0.2,)),), covariance=np.eye(1), misfit=nominal.misfit - 20)
+        assert [f is plain for f in _in_order(fitter.screen, [huge, plain])] == [True, False]
+        assert [f is plain for f in _in_order(fitter.screen, [usual, plain])] == [False, True]
+        assert bent(nominal, huge) > 0 == bent(nominal, usual)

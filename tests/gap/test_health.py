@@ -36,7 +36,7 @@ QUADRUPED = """
 
 @pytest.fixture(scope="module")
 def good(made: Callable[..., Path]) -> Case:
-    return load_case(made("torque", Truth(), torque="measured"))
+    return load_case(made(Truth(), torque="measured"))
 
 
 def health(case: Case) -> dict[str, Any]:
@@ -304,7 +304,7 @@ def test_what_is_logged_and_not_compared_is_said(good: Case, tmp_path: Path) -> 
 
 
 def test_contacts_of_no_body_are_left_out_and_said(made: Callable[..., Path], tmp_path: Path) -> None:
-    folder = shutil.copytree(made("plain", Truth()), tmp_path / "case")
+    folder = shutil.copytree(made(Truth()), tmp_path / "case")
     for path in (folder / "runs").glob("*.npz"):
         with np.load(path) as data:
             np.savez(path, **data, contact=np.ones((len(data["time"]), 1)))
@@ -332,7 +332,7 @@ def test_one_fall_of_the_nominal_among_many_runs_is_a_warning(tmp_path: Path) ->
 def test_a_run_that_is_left_out_is_said_on_the_terminal(made: Callable[..., Path], tmp_path: Path, capsys: Any) -> None:
     from realsim.cli.command_line import main
 
-    case = shutil.copytree(made("plain", Truth()), tmp_path / "case")
+    case = shutil.copytree(made(Truth()), tmp_path / "case")
     sorted((case / "runs").iterdir())[0].write_bytes(b"torn")
     out = tmp_path / "out"
     assert main(["diagnose", str(case), "--out", str(out), "--effects", "command_delay", "--threads", "1",
@@ -349,9 +349,9 @@ def test_a_broken_case_stops_no_other(made: Callable[..., Path], tmp_path: Path,
     from realsim.cli.command_line import main
 
     broken = tmp_path / "broken"
-    shutil.copytree(made("plain", Truth()), broken)
+    shutil.copytree(made(Truth()), broken)
     (broken / "model.xml").write_text("<mujoco>")
-    still = made("still", Truth(), runs=2, span=(1.0, 1.2))
+    still = made(Truth(), runs=2, span=(1.0, 1.2))
     code = main(["diagnose", str(broken), str(still), "--out", str(tmp_path / "out"), "--jobs", "2", "--json",
                  "--effects", "command_delay", "--threads", "1", "--no-report"])  # fmt: skip
     said = json.loads(capsys.readouterr().out)

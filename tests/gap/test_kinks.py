@@ -49,7 +49,7 @@ def halved(case: Case) -> Case:
 
 def test_a_signal_at_half_the_rate_of_the_log_has_its_noise(made: Callable[..., Path]) -> None:
     """What the truth adds to velocities: 0.02 rad/s."""
-    case = halved(load_case(made("plain", Truth())))
+    case = halved(load_case(made(Truth())))
     with Simulator(case, CONFIG) as simulator:
         nominal = simulator.simulate()
         floor = Comparison(case, simulator.channels, nominal, CONFIG).noise.sensor

@@ -61,7 +61,7 @@ def test_a_robot_that_turns_round_shows_no_jump(turn: float, tilt: float, gap: i
 
 
 def test_joints_that_share_a_limit_share_the_figure(made) -> None:
-    with Simulator(load_case(made("nothing", Truth())), DiagnoseConfig(threads=1)) as simulator:
+    with Simulator(load_case(made(Truth())), DiagnoseConfig(threads=1)) as simulator:
         peaks = simulator.context.peak_torque
         assert peaks["shoulder"] > 1.3 * peaks["elbow"]
         both = Candidate("torque_limit", (("shoulder",), ("elbow",)), (), np.zeros((0, 1)), ("limit",))
@@ -159,7 +159,7 @@ def test_like_joints_are_grouped_by_kind_and_leg() -> None:
 
 
 def test_a_patch_makes_the_model_that_was_diagnosed(made, tmp_path) -> None:
-    folder = made("coulomb_friction", Truth(coulomb={"elbow": 0.4}))
+    folder = made(Truth(coulomb={"elbow": 0.4}))
     config = DiagnoseConfig(effects=("coulomb_friction", "command_delay"), bootstrap=50)
     said = run_case(folder, tmp_path / "out", config)
     written = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
@@ -177,7 +177,7 @@ def test_a_patch_makes_the_model_that_was_diagnosed(made, tmp_path) -> None:
 
 
 def test_the_same_log_gives_the_same_diagnosis(made) -> None:
-    case = load_case(made("coulomb_friction", Truth(coulomb={"elbow": 0.4})))
+    case = load_case(made(Truth(coulomb={"elbow": 0.4})))
     config = DiagnoseConfig(effects=("coulomb_friction",), bootstrap=50)
     first, second = (diagnose(case, config).as_dict() for _ in range(2))
     for found in (first, second):
@@ -189,7 +189,7 @@ def test_the_same_log_gives_the_same_diagnosis(made) -> None:
 
 def test_stribeck_friction_falls_from_rest_to_motion(made) -> None:
     """Friction that holds at rest is S, and what brakes well above the Stribeck velocity is C."""
-    case = load_case(made("stribeck_law", Truth(), runs=1))
+    case = load_case(made(Truth(), runs=1))
     static, moving, fades = 0.9, 0.4, 0.1
     with Simulator(case, DiagnoseConfig(threads=1)) as simulator:
         joint = simulator.context.driven[0]
@@ -208,7 +208,7 @@ def test_stribeck_friction_falls_from_rest_to_motion(made) -> None:
 
 @pytest.mark.parametrize("no_load", [40.0, 3.0])  # the slope T / v0 below and above the servo's own velocity gain
 def test_a_drive_loses_torque_with_speed_only_where_it_drives(no_load: float, made) -> None:
-    case = load_case(made("torque_speed_law", Truth(), runs=1))
+    case = load_case(made(Truth(), runs=1))
     joint = case.joint_names[0]
     with Simulator(case, DiagnoseConfig(threads=1)) as simulator:
         speed, top = simulator.context.speed[joint], simulator.context.torque_range[joint]
@@ -229,7 +229,7 @@ def test_a_drive_loses_torque_with_speed_only_where_it_drives(no_load: float, ma
 
 
 def test_where_robot_and_simulator_have_parted_nothing_changes(made) -> None:
-    case = load_case(made("nothing", Truth()))
+    case = load_case(made(Truth()))
     with Simulator(case, DiagnoseConfig(threads=1)) as simulator:
         nominal = simulator.simulate()
         comparison = Comparison(case, simulator.channels, nominal, DiagnoseConfig(threads=1))

@@ -14,7 +14,7 @@ from .truth import Truth
 
 @pytest.fixture(scope="module")
 def arm(made):
-    with Simulator(load_case(made("plain", Truth())), DiagnoseConfig(threads=1)) as found:
+    with Simulator(load_case(made(Truth())), DiagnoseConfig(threads=1)) as found:
         yield found
 
 

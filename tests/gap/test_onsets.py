@@ -27,7 +27,7 @@ def onsets_of(folder) -> dict[str, float]:
 
 @pytest.fixture(scope="module")
 def bumped(made):
-    return made("bumped", Truth(force={"fore": (14.0, 0.0, 6.0)}, force_windows=WINDOWS), runs=6, span=SPAN)
+    return made(Truth(force={"fore": (14.0, 0.0, 6.0)}, force_windows=WINDOWS), runs=6, span=SPAN)
 
 
 def test_onsets_are_read_off_the_log(bumped) -> None:
@@ -46,13 +46,13 @@ def test_onsets_are_read_off_the_log(bumped) -> None:
 )
 def test_other_gaps_have_none(made, truth: Truth) -> None:
     """A lasting cause is there from the first motion on; a force at a fixed time has that time."""
-    assert onsets_of(made(f"no_onsets_{truth.coulomb}_{bool(truth.force)}", truth, runs=6, span=SPAN)) == {}
+    assert onsets_of(made(truth, runs=6, span=SPAN)) == {}
 
 
 @pytest.mark.slow
 def test_a_push_beside_a_lasting_cause_is_found_once_that_is_known(made) -> None:
     truth = Truth(force={"fore": (18.0, 0.0, 8.0)}, force_windows=WINDOWS, coulomb={"shoulder": 3.0})
-    folder = made("bumped_and_stiff", truth, runs=6, span=SPAN)
+    folder = made(truth, runs=6, span=SPAN)
     assert onsets_of(folder) == {}
     both = ("coulomb_friction", "external_force")
     found = diagnose(load_case(folder), DiagnoseConfig(effects=both, bootstrap=50))

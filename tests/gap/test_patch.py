@@ -18,10 +18,7 @@ from realsim.gap import EFFECTS, DiagnoseConfig, apply_patch, explain, load_case
 from realsim.gap.answer.patch import asset_files, empty_patch, make_patch, patched_xml
 from realsim.gap.simulation.simulate import Simulator
 
-from .test_anchors import hovering
 from .truth import FINE, Truth
-
-__all__ = ["hovering"]  # a fixture
 
 STANDING = """
 <mujoco>
@@ -47,7 +44,7 @@ WRAPPED = {"command_delay", "observation_delay", "joint_offset", "load_friction"
 
 @pytest.fixture(scope="module")
 def arm(made: Callable[..., Path]) -> Iterator[Simulator]:
-    with Simulator(load_case(made("fine", Truth(), FINE)), DiagnoseConfig(threads=1)) as found:
+    with Simulator(load_case(made(Truth(), FINE)), DiagnoseConfig(threads=1)) as found:
         yield found
 
 

@@ -2,31 +2,25 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import replace
 from importlib import import_module
 from pkgutil import iter_modules
 
 import numpy as np
 import pytest
 
-from realsim.gap import EFFECTS, Case, DiagnoseConfig, effects, load_case
+from realsim.gap import EFFECTS, Case, effects, load_case
 from realsim.gap.effects.base import Effect
-from realsim.gap.inference.causes.fit import Cause, Fitter
+from realsim.gap.inference.causes.fit import Cause
 from realsim.gap.inference.causes.leftover import deviations, is_gap, leftover
 from realsim.gap.inference.causes.proposals import by_simulation
 from realsim.gap.inference.causes.starts import starts
-from realsim.gap.inference.likelihood.comparison import Comparison
 from realsim.gap.inference.likelihood.linear import log_evidence, marginal
-from realsim.gap.inference.likelihood.screen import Screen, slab
+from realsim.gap.inference.likelihood.screen import slab
 from realsim.gap.simulation.simulate import Simulator
-from tests.truths.diagnosis.plant import Plant
-from tests.truths.diagnosis.robots import ROBOTS
-from tests.truths.diagnosis.truth import Truth as TrueRobot
 
+from .searching import CONFIG, fitting, logged
 from .truth import Truth
 
-CONFIG = DiagnoseConfig(threads=1, settle_seconds=0.3)
 GROUND = ("ground_friction", "contact_compliance", "terrain_height", "terrain_tilt", "terrain_scale", "terrain_wobble")
 SIZE = {"ground_friction": 1.0, "imu_bias": 8.0, "load_friction": 2.0, "stribeck_friction": 2.0, "terrain_scale": 2.0}
 """In steps of the parameter; 1.5 where nothing stands."""
@@ -35,55 +29,8 @@ UNSEEN = ("camera_delay", "camera_mount", "depth_noise")
 
 @pytest.fixture(scope="module")
 def arm(made) -> Case:
-    case = load_case(made("recovery", Truth(), runs=2, span=(2.2, 2.6)))
+    case = load_case(made(Truth(), runs=2, span=(2.2, 2.6)))
     return case
-
-
-@pytest.fixture(scope="module")
-def quadruped(tmp_path_factory: pytest.TempPathFactory) -> Case:
-    """A floating base on four blocks: the log is made by its own simulator."""
-    folder = tmp_path_factory.mktemp("quadruped")
-    robot = ROBOTS["quadruped"](np.random.default_rng(2))
-    (folder / "runs").mkdir()
-    (folder / "model.xml").write_text(robot.xml)
-    log = {
-        "joint_names": robot.joints,
-        "actuator_names": robot.actuators,
-        "command_kind": "position",
-        "command_hold": "zoh",
-        "base": "floating",
-        "torque_kind": "none",
-        "imu_site": robot.imu_site,
-        "contact_bodies": [],
-        "notes": "",
-    }
-    (folder / "log.json").write_text(json.dumps(log))
-    time = np.arange(0, 2.0, 0.01)
-    sway = 0.15 * np.sin(2 * np.pi * np.outer(time, [0.9])) * np.tile([1.0, 0.8, 0.3], 4)
-    command = robot.home + np.clip(time / 0.3, 0, 1)[:, None] * sway
-    trace = Plant(robot, TrueRobot(len(robot.joints))).drive(time, command)  # it knows how the robot comes to rest
-    rest = {"init_qpos": trace.qpos0, "init_qvel": np.zeros(len(trace.qpos0) - 1)}
-    rest |= {"base_pos": np.tile(trace.qpos0[:3], (len(time), 1))}
-    imu = {"imu_gyro": np.zeros((len(time), 3)), "imu_acc": np.zeros((len(time), 3))}
-    np.savez(folder / "runs" / "one.npz", time=time, command=command, joint_pos=command, **rest, **imu)
-    return load_case(folder)
-
-
-def logged(case: Case, settings: list, seed: int = 0) -> Case:
-    """The case with the log that its simulator writes under these settings, with a little noise."""
-    rng = np.random.default_rng(seed)
-    with Simulator(case, CONFIG) as simulator:
-        made = simulator.simulate(settings)
-        channels = simulator.channels
-    runs = []
-    for run, y in zip(case.runs, made, strict=True):
-        signals = {}
-        for name in dict.fromkeys(c.signal for c in channels):
-            values = y[:, [i for i, c in enumerate(channels) if c.signal == name]]
-            if name != "base_rot":
-                signals[name] = values + rng.normal(0, 1e-4, values.shape)
-        runs.append(replace(run, signals=run.signals | signals))
-    return case.with_runs(tuple(runs))
 
 
 @pytest.mark.parametrize("name", [n for n in EFFECTS if n not in (*UNSEEN, *GROUND, "imu_bias", "thrust_gain")])
@@ -93,17 +40,14 @@ def test_recovered_on_an_arm(name: str, arm: Case) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [*GROUND, "imu_bias"])
-def test_recovered_on_a_floating_base(name: str, quadruped: Case) -> None:
-    recover(name, logged(quadruped, []))
+def test_recovered_on_a_floating_base(name: str, settled: Case) -> None:
+    recover(name, settled)
 
 
 @pytest.mark.slow
-def test_the_block_that_is_lower_is_found_though_no_slope_points_there(quadruped: Case) -> None:
-    case = logged(logged(quadruped, []), [("terrain_height", ("block_2",), {"height": -0.02})])
-    with Simulator(case, CONFIG) as simulator:
-        comparison = Comparison(case, simulator.channels, simulator.simulate(), CONFIG)
-        screen = Screen(simulator, comparison, range(len(case.runs)), ("terrain_height",))
-        fitter = Fitter(screen)
+def test_the_block_that_is_lower_is_found_though_no_slope_points_there(settled: Case) -> None:
+    case = logged(settled, [("terrain_height", ("block_2",), {"height": -0.02})])
+    with fitting(case, ("terrain_height",)) as fitter:
         proposal = next(by_simulation(fitter, fitter.nominal()))
     assert proposal.foretold > 100
     assert proposal.causes[0].candidate.place == ("block_2",)
@@ -111,13 +55,10 @@ def test_the_block_that_is_lower_is_found_though_no_slope_points_there(quadruped
 
 
 @pytest.mark.slow
-def test_an_encoder_that_sets_a_foot_higher_is_found_though_no_slope_points_there(quadruped: Case) -> None:
+def test_an_encoder_that_sets_a_foot_higher_is_found_though_no_slope_points_there(settled: Case) -> None:
     """Other feet carry the robot then; the ground under one of them may do much the same."""
-    case = logged(logged(quadruped, []), [("joint_offset", ("fl_calf",), {"offset": -0.06})])
-    with Simulator(case, CONFIG) as simulator:
-        comparison = Comparison(case, simulator.channels, simulator.simulate(), CONFIG)
-        screen = Screen(simulator, comparison, range(len(case.runs)), ("joint_offset", "terrain_height"))
-        fitter = Fitter(screen)
+    case = logged(settled, [("joint_offset", ("fl_calf",), {"offset": -0.06})])
+    with fitting(case, ("joint_offset", "terrain_height")) as fitter:
         proposals = list(by_simulation(fitter, fitter.nominal()))
     best = max((p for p in proposals if p.causes[0].candidate.effect == "joint_offset"), key=lambda p: p.foretold)
     assert best.foretold > 100
@@ -126,10 +67,7 @@ def test_an_encoder_that_sets_a_foot_higher_is_found_though_no_slope_points_ther
 
 
 def test_a_robot_that_does_not_stand_has_no_footing(arm: Case) -> None:
-    with Simulator(arm, CONFIG) as simulator:
-        comparison = Comparison(arm, simulator.channels, simulator.simulate(), CONFIG)
-        screen = Screen(simulator, comparison, range(len(arm.runs)), ("joint_offset",))
-        fitter = Fitter(screen)
+    with fitting(arm, ("joint_offset",)) as fitter:
         assert not list(by_simulation(fitter, fitter.nominal()))
 
 
@@ -143,15 +81,10 @@ def test_a_robot_that_does_not_stand_has_no_footing(arm: Case) -> None:
     ],
 )
 def test_a_gross_cause_is_found_by_simulation_though_small_deviations_imitate_it(
-    effect: str, place: tuple[str, ...], values: dict[str, float], quadruped: Case
+    effect: str, place: tuple[str, ...], values: dict[str, float], settled: Case
 ) -> None:
-    case = logged(logged(quadruped, []), [(effect, place, values)])
-    with Simulator(case, CONFIG) as simulator:
-        comparison = Comparison(case, simulator.channels, simulator.simulate(), CONFIG)
-        screen = Screen(
-            simulator, comparison, range(len(case.runs)), (effect, "com_offset", "motor_gain", "external_force")
-        )
-        fitter = Fitter(screen)
+    case = logged(settled, [(effect, place, values)])
+    with fitting(case, (effect, "com_offset", "motor_gain", "external_force")) as fitter:
         best = max(by_simulation(fitter, fitter.nominal()), key=lambda p: p.foretold)
     (cause,) = best.causes
     assert (cause.candidate.effect, cause.candidate.place) == (effect, place)
@@ -160,12 +93,11 @@ def test_a_gross_cause_is_found_by_simulation_though_small_deviations_imitate_it
 
 
 @pytest.mark.slow
-def test_what_a_finer_step_does_is_no_gap(quadruped: Case) -> None:
-    case = logged(logged(quadruped, []), [("time_step", (), {"finer": 0.5})])
-    with Simulator(case, CONFIG) as simulator:
-        comparison = Comparison(case, simulator.channels, simulator.simulate(), CONFIG)
-        screen = Screen(simulator, comparison, range(len(case.runs)), ("armature",))
-        nominal = Fitter(screen).nominal()
+def test_what_a_finer_step_does_is_no_gap(settled: Case) -> None:
+    case = logged(settled, [("time_step", (), {"finer": 0.5})])
+    with fitting(case, ("armature",)) as fitter:
+        screen = fitter.screen
+        nominal = fitter.nominal()
         step = screen.index["time_step", (), "finer"]
         assert deviations(screen, nominal)[step] > 0
         never = np.where(np.arange(len(nominal.prior)) == step, 1e-9, nominal.prior)
@@ -180,10 +112,8 @@ def recover(name: str, case: Case) -> None:
         first = next(p for p in effect.parameters(simulator.context, place) if p.name == names[0])
     value = SIZE.get(name, 1.5) * first.step
     case = logged(case, [(name, place, {first.name: value})])
-    with Simulator(case, CONFIG) as simulator:
-        comparison = Comparison(case, simulator.channels, simulator.simulate(), CONFIG)
-        screen = Screen(simulator, comparison, range(len(case.runs)), (name,))
-        fitter = Fitter(screen)
+    with fitting(case, (name,)) as fitter:
+        screen = fitter.screen
         nominal = fitter.nominal()
         candidate = next(c for c in screen.candidates if c.place == place and c.names[0] == first.name)
         A, b, _ = marginal(nominal.evidence, nominal.prior, np.inf)
@@ -201,10 +131,8 @@ def recover(name: str, case: Case) -> None:
 
 def test_nothing_is_found_where_nothing_is(arm: Case) -> None:
     case = logged(arm, [])
-    with Simulator(case, CONFIG) as simulator:
-        comparison = Comparison(case, simulator.channels, simulator.simulate(), CONFIG)
-        screen = Screen(simulator, comparison, range(len(case.runs)), ("payload", "coulomb_friction", "command_delay"))
-        assert not is_gap(leftover(screen, Fitter(screen).nominal()))
+    with fitting(case, ("payload", "coulomb_friction", "command_delay")) as fitter:
+        assert not is_gap(leftover(fitter.screen, fitter.nominal()))
 
 
 def test_the_library_names_every_effect_that_its_files_define() -> None:

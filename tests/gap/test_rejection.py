@@ -14,25 +14,16 @@ from realsim.gap.inference.causes.fit import Cause, Fit, Fitter
 from realsim.gap.inference.causes.leftover import is_gap, leftover
 from realsim.gap.inference.causes.proposals import ranked
 from realsim.gap.inference.causes.select import select
-from realsim.gap.inference.likelihood.comparison import Comparison
 from realsim.gap.inference.likelihood.screen import Screen
 from realsim.gap.simulation.simulate import Setting, Simulator
 
-from .test_recovery import CONFIG, GROUND, SIZE, UNSEEN, logged, quadruped
+from .searching import CONFIG, fitting, logged
+from .test_recovery import GROUND, SIZE, UNSEEN
 from .truth import PENDULUM, Truth
-
-__all__ = ["quadruped"]  # a fixture
 
 FLOATING = (*(n for n in GROUND if n != "terrain_tilt"), "imu_bias", "thrust_gain")
 """Effects that need a ground, an IMU or rotors."""
 FIXED = tuple(n for n in EFFECTS if n not in (*FLOATING, *UNSEEN, *ON_REQUEST))
-
-
-def screened(case: Case, effects: Sequence[str] = ()) -> tuple[Screen, Fitter]:
-    simulator = Simulator(case, CONFIG)
-    comparison = Comparison(case, simulator.channels, simulator.simulate(), CONFIG)
-    screen = Screen(simulator, comparison, range(len(case.runs)), effects)
-    return screen, Fitter(screen)
 
 
 def gains(screen: Screen, fit: Fit) -> dict[str, float]:
@@ -45,8 +36,8 @@ def gains(screen: Screen, fit: Fit) -> dict[str, float]:
 
 def perfect(case: Case, effects: Sequence[str] = ()) -> dict[str, float]:
     """Gains on the log that the nominal simulator itself writes, with a little noise; nothing must be selected."""
-    screen, fitter = screened(logged(case, []), effects)
-    with screen.simulator:
+    with fitting(logged(case, []), effects) as fitter:
+        screen = fitter.screen
         nominal = fitter.nominal()
         assert not is_gap(leftover(screen, nominal))
         assert not select(screen, fitter, CONFIG).fit.causes
@@ -55,12 +46,12 @@ def perfect(case: Case, effects: Sequence[str] = ()) -> dict[str, float]:
 
 @pytest.fixture(scope="module")
 def pendulum(made: Callable[..., Path]) -> Case:
-    return load_case(made("rejection_pendulum", Truth(), xml=PENDULUM, runs=2, span=(2.6, 3.0)))
+    return load_case(made(Truth(), xml=PENDULUM, runs=2, span=(2.6, 3.0)))
 
 
 @pytest.fixture(scope="module")
 def arm(made: Callable[..., Path]) -> Case:
-    return load_case(made("rejection_arm", Truth(), runs=2, span=(2.2, 2.6)))
+    return load_case(made(Truth(), runs=2, span=(2.2, 2.6)))
 
 
 @pytest.fixture(scope="module")
@@ -94,8 +85,8 @@ def test_nothing_gets_in_beside_the_true_cause(name: str, pendulum: Case, arm: C
     first = next(p for p in parameters if p.name == names[0])
     values[first.name] = SIZE.get(name, 1.5) * first.step
     setting: Setting = (name, place, {first.name: values[first.name]})
-    screen, fitter = screened(logged(case, [setting]))
-    with screen.simulator:
+    with fitting(logged(case, [setting])) as fitter:
+        screen = fitter.screen
         here = [c for c in screen.candidates if (c.effect, c.place, c.names[0]) == (name, place, first.name)]
         if not here:
             pytest.skip("not excited by a pendulum")
@@ -108,10 +99,8 @@ def test_nothing_gets_in_beside_the_true_cause(name: str, pendulum: Case, arm: C
 
 
 @pytest.mark.slow
-def test_absent_on_a_perfect_log_of_a_floating_base(quadruped: Case) -> None:
-    case = quadruped
-    for seed in range(2):  # each log begins nearer to the pose that the simulator itself comes to rest in
-        case = logged(case, [], seed)
+def test_absent_on_a_perfect_log_of_a_floating_base(settled: Case) -> None:
+    case = logged(settled, [], seed=1)  # begins still nearer to the pose that the simulator itself comes to rest in
     found = perfect(case, (*FLOATING, "terrain_tilt", "external_force"))
     assert set(found) >= {"ground_friction", "terrain_height", "terrain_tilt", "imu_bias"}
     assert max(found.values()) < CLEARLY
@@ -126,8 +115,8 @@ def test_the_other_friction_cone_is_no_lower_friction(quadruped: Case) -> None:
         (("ground_friction", (), {"ratio": -0.6}), 0.0),
     ]
     for setting, cone in logs:
-        screen, fitter = screened(logged(quadruped, [setting]), ("ground_friction",))
-        with screen.simulator:
+        with fitting(logged(quadruped, [setting]), ("ground_friction",)) as fitter:
+            screen = fitter.screen
             fitter.with_likelier_solver(fitter.nominal())
             assert fitter.about[screen.index["contact_solver", (), "cone"]] == cone
 
@@ -137,8 +126,8 @@ def test_the_other_friction_cone_is_no_lower_friction(quadruped: Case) -> None:
 def test_the_other_friction_cone_is_seen_beside_a_cause(quadruped: Case, cone: float) -> None:
     weak: Setting = ("motor_gain", ("fr_thigh",), {"ratio": -0.45})
     log = logged(quadruped, [weak, ("contact_solver", (), {"cone": cone})])
-    screen, fitter = screened(log, ("motor_gain", "ground_friction"))
-    with screen.simulator:
+    with fitting(log, ("motor_gain", "ground_friction")) as fitter:
+        screen = fitter.screen
         cause = next(c for c in screen.candidates if c.place == ("fr_thigh",))
         fit = fitter.looked_at(fitter.nominal(), [Cause(cause, (-0.45,))])
         assert fit is not None
@@ -149,9 +138,9 @@ def test_the_other_friction_cone_is_seen_beside_a_cause(quadruped: Case, cone: f
 def test_how_the_solver_treats_friction_is_a_nuisance(made: Callable[..., Path]) -> None:
     """The same robot in a simulator whose dry friction sticks instead of creeping: explained, and no cause."""
     xml = PENDULUM.replace('frictionloss="0.15"', 'frictionloss="0.6"')
-    case = load_case(made("sticking", Truth(), xml=xml, runs=2, span=(2.6, 3.0)))
-    screen, fitter = screened(logged(case, [("friction_solver", (), {"stick": 1.0})]))
-    with screen.simulator:
+    case = load_case(made(Truth(), xml=xml, runs=2, span=(2.6, 3.0)))
+    with fitting(logged(case, [("friction_solver", (), {"stick": 1.0})])) as fitter:
+        screen = fitter.screen
         assert not select(screen, fitter, CONFIG).fit.causes
         explained = leftover(screen, fitter.nominal())
         screen.prior[screen.index["friction_solver", (), "stick"]] = 0.0

@@ -30,7 +30,7 @@ EFFECTS = ("coulomb_friction", "ground_friction")
 
 @pytest.fixture(scope="module")
 def found(made: Callable[..., Path]) -> Diagnosis:
-    folder = made("report", Truth(coulomb={"shoulder": 4.0}), runs=3, span=(2.2, 2.6))
+    folder = made(Truth(coulomb={"shoulder": 4.0}), runs=3, span=(2.2, 2.6))
     return diagnose(load_case(folder), DiagnoseConfig(effects=EFFECTS, threads=1, bootstrap=50))
 
 

@@ -21,7 +21,7 @@ def test_a_new_case_wants_nothing_but_its_runs(made: Callable[..., Path], tmp_pa
     folder = start_case(tmp_path / "arm.xml", tmp_path / "case")
     with pytest.raises(GapError, match="runs"):
         load_case(folder)
-    full = made("plain", Truth())
+    full = made(Truth())
     shutil.rmtree(folder / "runs")
     shutil.copytree(full / "runs", folder / "runs")
     case, same = load_case(folder), load_case(full)
@@ -55,7 +55,7 @@ def test_models_that_no_log_can_refer_to_are_refused(tmp_path: Path) -> None:
 def test_the_health_of_a_log_alone(
     made: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    case = made("plain", Truth())
+    case = made(Truth())
     found = check_case(case)
     assert len(found["runs"]) == 4
     assert main(["diagnose", str(case), "--check", "--json"]) == 0

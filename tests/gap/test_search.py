@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from realsim.gap import DiagnoseConfig, load_case
+from realsim.gap import load_case
 from realsim.gap.answer.conclusion import _at_an_end
 from realsim.gap.effects.base import Parameter
 from realsim.gap.effects.lookup import lookup
@@ -22,15 +22,12 @@ from realsim.gap.inference.causes.proposals import by_slopes, ranked
 from realsim.gap.inference.causes.score import asked, doubts, score, searched
 from realsim.gap.inference.causes.search import Search
 from realsim.gap.inference.causes.windows import _best_window
-from realsim.gap.inference.likelihood.comparison import Comparison
-from realsim.gap.inference.likelihood.screen import Screen
 from realsim.gap.simulation.cores import Recent
 from realsim.gap.simulation.simulate import Simulator
 
-from .test_recovery import logged
+from .searching import CONFIG, fitting, logged
 from .truth import Truth
 
-CONFIG = DiagnoseConfig(threads=1, settle_seconds=0.3)
 WIDTH = 0.02
 
 
@@ -54,15 +51,13 @@ def test_a_window_of_force_is_found_to_the_bin(start: int, length: int, force: f
 @pytest.fixture(scope="module")
 def fitter(made):
     """A log with a weaker motor at one joint, on a simulator whose slopes may take a step twice as long."""
-    nominal = load_case(made("search", Truth(), runs=3))
+    nominal = load_case(made(Truth(), runs=3))
     with Simulator(nominal, CONFIG) as simulator:
         joint = simulator.context.driven[0]
     case = logged(nominal, [("motor_gain", (joint,), {"ratio": -0.2})])
-    with Simulator(case, CONFIG) as simulator:
-        comparison = Comparison(case, simulator.channels, simulator.simulate(), CONFIG)
-        screen = Screen(simulator, comparison, range(len(case.runs)), ("motor_gain", "backlash"))
-        screen.coarse = 2
-        yield Fitter(screen)
+    with fitting(case, ("motor_gain", "backlash")) as found:
+        found.screen.coarse = 2
+        yield found
 
 
 def _cause(fitter: Fitter, effect: str, value: float) -> Cause:
@@ -202,12 +197,9 @@ def test_a_first_cause_is_cheap_where_deviations_leave_a_gap(fitter: Fitter) -> 
 def test_a_cause_is_proposed_in_its_simplest_form_and_with_all_that_the_log_can_show_of_it(made) -> None:
     """A mass at the tip of an arm: at the link's own centre it had fitted so badly that a weaker motor came first, and
     where it sits was not asked any more."""
-    nominal = load_case(made("tip", Truth(), runs=3))
+    nominal = load_case(made(Truth(), runs=3))
     case = logged(nominal, [("payload", ("fore",), {"mass": 0.4, "x": 0.0, "y": 0.0, "z": -0.36})])
-    with Simulator(case, CONFIG) as simulator:
-        comparison = Comparison(case, simulator.channels, simulator.simulate(), CONFIG)
-        effects = ("payload", "external_force", "motor_gain")
-        fitter = Fitter(Screen(simulator, comparison, range(len(case.runs)), effects))
+    with fitting(case, ("payload", "external_force", "motor_gain")) as fitter:
         forms = {c.names for c in fitter.screen.candidates if (c.effect, c.place) == ("external_force", ("fore",))}
         assert forms == {("fx",), ("fz",), ("fx", "fz")}  # the arm moves in the plane of x and z
         proposed = [p.causes[-1].candidate.key for p in by_slopes(fitter, fitter.nominal())]

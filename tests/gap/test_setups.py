@@ -20,14 +20,14 @@ def changed(made, tmp_path: Path, runs: dict) -> Path:
     import shutil
 
     folder = tmp_path / "case"
-    shutil.copytree(made("plain", Truth()), folder)
+    shutil.copytree(made(Truth()), folder)
     log = json.loads((folder / "log.json").read_text())
     (folder / "log.json").write_text(json.dumps(log | {"runs": runs}))
     return folder
 
 
 def test_a_known_mass_and_gain_do_what_the_effects_do(made, tmp_path: Path) -> None:
-    plain = load_case(made("plain", Truth()))
+    plain = load_case(made(Truth()))
     first, second, *others = [r.name for r in plain.runs]
     gain = -float(plain.model.actuator(plain.actuator_of("elbow")).biasprm[1])
     at = [0.0, 0.0, -0.2]

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from realsim.gap import EFFECTS, Case, DiagnoseConfig, load_case
+from realsim.gap import EFFECTS, Case, load_case
 from realsim.gap.case.model.edit import Edit
 from realsim.gap.inference.causes.fit import Cause, Fitter
 from realsim.gap.inference.causes.leftover import leftover
@@ -25,15 +25,13 @@ from tests.truths.diagnosis.plant import Plant
 from tests.truths.diagnosis.robots import ROBOTS
 from tests.truths.diagnosis.truth import Truth as TrueRobot
 
-from .test_recovery import logged
+from .searching import CONFIG, logged
 from .truth import ARM, FINE, Truth
-
-CONFIG = DiagnoseConfig(threads=1, settle_seconds=0.3)
 
 
 @pytest.fixture(scope="module")
 def arm(made) -> Case:
-    return load_case(made("slopes", Truth(), FINE, runs=2))
+    return load_case(made(Truth(), FINE, runs=2))
 
 
 def screened(case: Case, effects: tuple[str, ...]) -> Screen:
@@ -176,7 +174,7 @@ def two_arms(coupling: str = "") -> str:
 
 def test_arms_that_do_not_feel_one_another_have_the_slopes_of_each_alone(made, monkeypatch) -> None:
     effects = ("payload", "viscous_friction", "backlash")
-    case = load_case(made("two_arms", Truth(), two_arms(), runs=2, span=(1.6, 1.8)))
+    case = load_case(made(Truth(), two_arms(), runs=2, span=(1.6, 1.8)))
     screen = screened(case, effects)
     assert len(set(screen.trees.values())) == 2
     screen.relinearise([("viscous_friction", ("elbow",), {"damping": 0.4})])
@@ -192,12 +190,12 @@ def test_arms_that_do_not_feel_one_another_have_the_slopes_of_each_alone(made, m
 
 def test_arms_that_hold_each_other_are_one_robot(made) -> None:
     bar = '<equality><joint joint1="elbow" joint2="left_elbow" solref="0.02 1"/></equality>'
-    case = load_case(made("tied_arms", Truth(), two_arms(bar), runs=2, span=(1.6, 1.8)))
+    case = load_case(made(Truth(), two_arms(bar), runs=2, span=(1.6, 1.8)))
     assert screened(case, ("payload", "viscous_friction")).trees == {}
 
 
 def test_a_search_that_fails_on_a_run_it_did_not_look_at_finds_nothing(made, monkeypatch) -> None:
-    screen = screened(load_case(made("slopes_four", Truth(), FINE, runs=4)), ("armature",))
+    screen = screened(load_case(made(Truth(), FINE, runs=4)), ("armature",))
     assert screen.varied is None  # an arm is simulated fast: all runs are looked at
     screen.slow = True
     screen.varied = screen._varied()

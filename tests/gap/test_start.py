@@ -114,7 +114,7 @@ AT_REST = {
 
 @pytest.mark.parametrize("name", AT_REST)
 def test_a_robot_at_rest_stays_at_rest_whatever_its_gap(name: str, made: Callable[..., Path]) -> None:
-    case = load_case(made(f"start_{name}", AT_REST[name], runs=2))
+    case = load_case(made(AT_REST[name], runs=2))
 
     def abrupt(run: Run) -> Run:
         """The commands begin to move at the first sample."""
@@ -130,7 +130,7 @@ def test_a_robot_at_rest_stays_at_rest_whatever_its_gap(name: str, made: Callabl
 
 
 def test_a_given_speed_that_the_log_contradicts_is_not_believed(made: Callable[..., Path]) -> None:
-    case = load_case(made("start_nothing", Truth(), runs=2))
+    case = load_case(made(Truth(), runs=2))
     lying = case.with_runs(tuple(replace(r, init_qvel=np.full(2, 2.0)) for r in case.runs))
     with Simulator(lying, CONFIG) as simulator:
         assert {s.kind for s in simulator.starts} == {"rest"}
@@ -142,7 +142,7 @@ def test_health_says_how_each_run_was_started(tmp_path: Path, made: Callable[...
     assert set(found["start"]["runs"]) == {"run_0", "run_1", "run_2"}
     assert all("from the state of the first samples" in how for how in found["start"]["runs"].values())
     assert any("simulated from the state of the first samples" in w for w in found["warnings"])
-    with Simulator(load_case(made("start_nothing", Truth(), runs=2)), CONFIG) as simulator:
+    with Simulator(load_case(made(Truth(), runs=2)), CONFIG) as simulator:
         found = examine(simulator)
     assert all("from rest" in how for how in found["start"]["runs"].values())
 

@@ -42,7 +42,7 @@ def logged(simulator: Simulator, settings: Any, noise: float = 1e-5) -> Case:
 
 @pytest.fixture(scope="module")
 def arm(made: Callable[..., Path]) -> Iterator[Simulator]:
-    with Simulator(load_case(made("fine_torque", Truth(), FINE, torque="measured")), CONFIG) as found:
+    with Simulator(load_case(made(Truth(), FINE, torque="measured")), CONFIG) as found:
         yield found
 
 

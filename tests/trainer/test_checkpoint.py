@@ -146,31 +146,36 @@ def test_onnx_computes_the_same_and_carries_its_layout(tmp_path: Path, strategie
     assert np.allclose(action, policy.act(o).numpy(), atol=1e-5)
 
 
-def test_onnx_of_before_the_action_limit_has_none(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """A policy file whose actions are limited to 20."""
+    policy, path = make(), tmp_path_factory.mktemp("exported") / "a.onnx"
+    export.export(path, policy, replace(facts(policy), action_limit=20.0))
+    return path.read_bytes()
+
+
+def test_onnx_of_before_the_action_limit_has_none(exported: bytes, tmp_path: Path) -> None:
     import onnx
 
-    policy, path = make(), tmp_path / "a.onnx"
-    export.export(path, policy, replace(facts(policy), action_limit=20.0))
+    path = tmp_path / "a.onnx"
+    path.write_bytes(exported)
     assert export.load(path)[1].action_limit == 20.0
     model = onnx.load_model(path)
     meta = json.loads(model.metadata_props[-1].value)
     del meta["action_limit"]
     model.metadata_props[-1].value = json.dumps(meta)
     onnx.save_model(model, path)
-    assert export.load(path)[1] == facts(policy)
+    assert export.load(path)[1] == facts(make())
 
 
-def test_onnx_without_metadata_or_cut_off_is_refused(tmp_path: Path) -> None:
+def test_onnx_without_metadata_or_cut_off_is_refused(exported: bytes, tmp_path: Path) -> None:
     import onnx
 
-    policy = make()
     path = tmp_path / "a.onnx"
-    export.export(path, policy, facts(policy))
-    data = path.read_bytes()
-    path.write_bytes(data[: len(data) // 2])
+    path.write_bytes(exported[: len(exported) // 2])
     with pytest.raises(RealsimError, match=r"cut off|not an ONNX file"):
         export.load(path)
-    model = onnx.load_model_from_string(data)
+    model = onnx.load_model_from_string(exported)
     meta = json.loads(model.metadata_props[-1].value)
     model.metadata_props[-1].value = json.dumps({**meta, "version": 9})
     path.write_bytes(model.SerializeToString())

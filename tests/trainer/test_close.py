@@ -23,7 +23,7 @@ from trainer.deploy.log import CaseLog
 from trainer.deploy.loop import DeployConfig, deploy
 from trainer.deploy.mujoco import MujocoRobot
 from trainer.errors import TrainerError
-from trainer.policies import FOLDER, base_of
+from trainer.policies import FOLDER, TASKS, base_of
 from trainer.ppo import export
 from trainer.robots import ROBOTS
 from trainer.tasks.parkour.depth import rays
@@ -149,7 +149,8 @@ def test_close_fine_tunes_for_what_the_log_shows(case: Path, tmp_path: Path, mon
     """The whole loop on the quadruped, with a diagnosis of weak motors that is given: one iteration, a few trials."""
     import realsim as rs
     from realsim.results import GapVerdict
-    from trainer.ppo.config import LoopConfig
+    from trainer.ppo.config import LoopConfig, PPOConfig
+    from trainer.trainers import ppo
 
     cause = {
         "effect": "motor_gain", "joints": [], "bodies": [],
@@ -163,8 +164,11 @@ def test_close_fine_tunes_for_what_the_log_shows(case: Path, tmp_path: Path, mon
 
     monkeypatch.setattr(rs, "diagnose", diagnosed)
     loop = LoopConfig(iterations=1, evaluate_every=0, tensorboard=False)
-    config = TrainConfig(worlds=16, threads=1, device="cpu", loop=loop)
-    said = close(case, config, base_of("quadruped"), "boxes:0.2:1", tmp_path / "closed", final_trials=2)
+    config = TrainConfig(worlds=4, threads=1, device="cpu", loop=loop, ppo=PPOConfig(steps=8, epochs=1))
+    task, out = tmp_path / "task.json", tmp_path / "closed"
+    task.write_text(json.dumps(json.loads(TASKS["quadruped"].read_text()) | {"termination": {"seconds": 1.0}}))
+    monkeypatch.setattr(ppo, "write_onnx", lambda path, *_: path)
+    said = close(case, config, base_of("quadruped"), "boxes:0.2:1", out, final_trials=2, task_file=task)
     assert said.data["training"]["verdict"]["delivered"] == "base"
-    assert "motors at 90 %" in (tmp_path / "closed" / "report.html").read_text()
+    assert "motors at 90 %" in (out / "report.html").read_text()
     assert "delivered" in said.text

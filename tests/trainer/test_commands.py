@@ -21,10 +21,19 @@ from trainer.commands.common import find_terrain
 from trainer.commands.task_file import load_task
 from trainer.errors import TrainerError
 from trainer.ppo import checkpoint, export
+from trainer.ppo.config import NetworkConfig, PPOConfig
+from trainer.ppo.loop import LoopConfig
 from trainer.tasks.parkour import ParkourConfig
-from trainer.tasks.parkour.config import ResetConfig, RewardConfig
+from trainer.tasks.parkour.config import (
+    DepthConfig,
+    RandomisationConfig,
+    ResetConfig,
+    RewardConfig,
+    TerminationConfig,
+)
+from trainer.terrain import generate
 from trainer.terrain.widen import LADDER
-from trainer.trainers import Scene
+from trainer.trainers import Scene, TrainConfig, ppo
 from trainer.trainers.ladder import ALONG, HELP_BELOW, WAITING, helped
 
 SMALL = [
@@ -166,7 +175,10 @@ def test_a_checkpoint_that_was_edited_is_refused_before_anything_is_written(
         assert not (tmp_path / "out").exists()
 
 
-def test_a_run_of_the_critic_alone_is_said(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_run_of_the_critic_alone_is_said(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ppo, "write_onnx", lambda *_: None)
     base, out = folder / "base" / "policy.pt", folder / "critic"
     arguments = ["finetune", "flat", "--policy", str(base), "--iterations", "1", "--final-trials", "0", *SMALL]
     arguments += ["--critic-first", "5", "--task-file", str(folder / "task.json"), "--out", str(out)]
@@ -206,8 +218,7 @@ def test_scenes_by_name(tmp_path: Path) -> None:
 def test_too_little_memory_means_fewer_worlds_and_is_said(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from trainer.trainers import ppo
-
+    monkeypatch.setattr(ppo, "write_onnx", lambda *_: None)
     start, asked = ppo.start, []
 
     def short_of_memory(scene, file, plan, rank):
@@ -228,16 +239,6 @@ def test_too_little_memory_means_fewer_worlds_and_is_said(
 
 def test_resume_is_exact_in_the_real_task(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Physics, randomisation, curriculum, camera: four iterations are two, a restart, and two, bit for bit."""
-    from dataclasses import replace
-
-    from trainer.ppo import checkpoint
-    from trainer.ppo.config import NetworkConfig, PPOConfig
-    from trainer.ppo.loop import LoopConfig
-    from trainer.tasks.parkour import ParkourConfig
-    from trainer.tasks.parkour.config import DepthConfig, RandomisationConfig, TerminationConfig
-    from trainer.terrain import generate
-    from trainer.trainers import Scene, TrainConfig, ppo
-
     monkeypatch.setattr(ppo, "write_onnx", lambda *_: None)
     task = ParkourConfig(
         depth=DepthConfig(frames=2),

@@ -29,6 +29,8 @@ BOUNDS = (math.log(SMALLEST), math.log(PPOConfig.std_limits[0]))
 CPU = Rank(0, 1, torch.device("cpu"))
 SMALL = NetworkConfig(channels=(8,), latent=16, actor=(32, 32), critic=(32, 32))
 CONFIG = PPOConfig(steps=16, epochs=4, networks=SMALL)
+BRIEF = replace(CONFIG, steps=2, epochs=1)
+"""Where it does not matter what is learnt."""
 
 
 def runner(config: PPOConfig = CONFIG, worlds: int = 16, seed: int = 0, **kwargs) -> Runner:
@@ -260,7 +262,7 @@ def test_iterations_to_the_target_and_stop(tmp_path: Path) -> None:
 def test_evaluations_take_no_more_than_their_share(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     now = [0.0]
     monkeypatch.setattr(loop, "time", SimpleNamespace(perf_counter=lambda: now[0], monotonic=time.monotonic))
-    r = runner(worlds=4)
+    r = runner(BRIEF, worlds=4)
     iterate = r.iterate
 
     def second() -> dict[str, float]:

@@ -10,7 +10,7 @@ from scipy.stats import fisher_exact
 
 torch = pytest.importorskip("torch", reason="the trainer needs torch (extra: train)")
 
-from tests.trainer.test_ppo import runner
+from tests.trainer.test_ppo import BRIEF, runner
 from trainer.evaluate import Evaluation, EvaluationConfig, Result
 from trainer.ppo import checkpoint, policy
 from trainer.ppo.config import LoopConfig, StrategyConfig
@@ -42,7 +42,7 @@ def test_only_what_beats_the_base_beyond_chance_is_delivered() -> None:
 
 def tuned(**settings: float):
     """A runner of a policy that is fine-tuned, whose environment says what share of the time robots wait."""
-    r = runner(worlds=4)
+    r = runner(BRIEF, worlds=4)
     r.policy.tuned = (("full", StrategyConfig()),)
     iterate = r.iterate
     r.iterate = lambda: {**iterate(), "env/episode/waiting": settings.get("waiting", 0.1)}

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import theilslopes
 
 from realsim.core.errors import GapError
 from realsim.core.types import F64
@@ -138,6 +137,8 @@ def _least_delay(own: F64, delay: F64) -> tuple[float, float, float]:
     t, d = own[lowest] - own[0], delay[lowest]
     if len(lowest) < 3 or np.ptp(t) <= 0:
         return float(delay.min()), 0.0, float(np.std(d))
+    from scipy.stats import theilslopes  # takes most of a second to import
+
     slope, base = theilslopes(d, t, method="joint")[:2]  # late messages do not matter (Theil 1950, Sen 1968)
     rest = d - base - slope * t
     return float(base + np.min(rest[rest > -JUMP])), float(slope), float(np.median(np.abs(rest)))

@@ -13,20 +13,19 @@ from realsim.gap.experiments.separation import Bench, separations
 from realsim.gap.inference.likelihood.comparison import Comparison
 from realsim.gap.simulation.simulate import Simulator
 
-from ..test_recovery import CONFIG, logged, quadruped  # noqa: F401
+from ..searching import CONFIG
 from .conftest import rival
 
 pytestmark = pytest.mark.slow
 
 
-def test_a_standing_robot_is_shaken_without_falling(quadruped: Case) -> None:  # noqa: F811
-    case = logged(quadruped, [])
+def test_a_standing_robot_is_shaken_without_falling(settled: Case) -> None:
     rivals = [
         rival("ground_friction", (), ratio=-1.0),
         rival("coulomb_friction", ("fl_calf",), friction=1.0),
     ]
-    with Simulator(case, CONFIG) as simulator:
-        noise = Comparison(case, simulator.channels, simulator.simulate(), CONFIG).noise
+    with Simulator(settled, CONFIG) as simulator:
+        noise = Comparison(settled, simulator.channels, simulator.simulate(), CONFIG).noise
         rig = rig_of(simulator.context, 2.0)
         bench = Bench(rig, noise, limits_of(simulator.context), CONFIG)
         push = EXCITATIONS["push_and_slide"](rig, 0.2)

@@ -72,6 +72,9 @@ class Plant:
         self.outer = np.flatnonzero(np.array(outer) >= 0)
         self.outer_q = self.model.jnt_qposadr[np.array(outer)[self.outer]] if len(self.outer) else np.zeros(0, int)
         self.outer_v = self.model.jnt_dofadr[np.array(outer)[self.outer]] if len(self.outer) else np.zeros(0, int)
+        free = np.flatnonzero(self.model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
+        self.base_q = int(self.model.jnt_qposadr[free[0]]) if len(free) else -1
+        """Not 0: a support that wobbles has coordinates of its own before the base's."""
         self.feet = [self.model.body(b).id for b in robot.contact_bodies]
 
     # ------------------------------------------------------------ building
@@ -253,10 +256,8 @@ class Plant:
         return np.concatenate([self._base(), q]) if self.robot.base == "floating" else q
 
     def _base(self) -> np.ndarray:
-        """(7,) position and orientation. A support that wobbles has coordinates of its own before them."""
-        free = int(np.flatnonzero(self.model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)[0])
-        first = int(self.model.jnt_qposadr[free])
-        return np.array(self.data.qpos[first : first + 7])
+        """(7,) position and orientation."""
+        return np.array(self.data.qpos[self.base_q : self.base_q + 7])
 
     def _link_q(self) -> np.ndarray:
         q = self.data.qpos[self.qadr].copy()

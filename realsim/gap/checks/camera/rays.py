@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,11 @@ class Mount:
     shift: F64 = field(default_factory=lambda: np.zeros(3))
     """(3,) m in the same axes."""
 
+    @cached_property
+    def rotation(self) -> F64:
+        """(3, 3) of the turn."""
+        return exp_so3(self.turn)
+
 
 class View:
     """Frames of a log with the poses of their camera."""
@@ -53,6 +59,8 @@ class View:
         self._own_data = mujoco.MjData(self._own)
         self._camera = self._model.camera(camera.name).id
         self._motions: dict[int, Motion] = {f.run: estimate(case, case.runs[f.run]) for f in frames}
+        # Slopes by mount and base ask for the same few moments of the log again and again.
+        self._corrected = lru_cache(8 * sum(len(f.time) for f in frames))(self._logged)
         self.hidden = [self._hides(f) for f in frames]
 
     def pose(self, run: int, time: float, mount: Mount, offset: F64) -> tuple[F64, F64]:
@@ -60,12 +68,16 @@ class View:
 
         `offset` (6,): m and rad by which the logged pose is off, beside the correction.
         """
-        place, R = self._nominal(run, time - mount.delay)
-        if self._correction is not None:
-            offset = offset + self._correction(run, time - mount.delay, place)
+        place, R, correction = self._corrected(run, time - mount.delay)
+        offset = offset + correction
         R = exp_so3(offset[3:]) @ R
         place = place + offset[:3] + R @ mount.shift
-        return place, R @ exp_so3(mount.turn)
+        return place, R @ mount.rotation
+
+    def _logged(self, run: int, time: float) -> tuple[F64, F64, F64]:
+        """`_nominal`, and the correction (6,) of the base there."""
+        place, R = self._nominal(run, time)
+        return place, R, np.zeros(6) if self._correction is None else self._correction(run, time, place)
 
     def _nominal(self, run: int, time: float) -> tuple[F64, F64]:
         """By the logged state, straight between its samples."""

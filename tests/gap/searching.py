@@ -1,0 +1,69 @@
+"""A search of causes set up on a case, and logs that the library's own simulator writes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from benchmarks.diagnosis.unstable import DRONE, fly
+from realsim.gap import Case, DiagnoseConfig, load_case
+from realsim.gap.inference.causes.fit import Fitter
+from realsim.gap.inference.likelihood.comparison import Comparison
+from realsim.gap.inference.likelihood.screen import Screen
+from realsim.gap.simulation.simulate import Setting, Simulator
+
+CONFIG = DiagnoseConfig(threads=1, settle_seconds=0.3)
+
+
+@contextmanager
+def fitting(
+    case: Case, effects: Sequence[str] = (), runs: Sequence[int] | None = None, config: DiagnoseConfig = CONFIG
+) -> Iterator[Fitter]:
+    """A fitter of these effects (all of them if none are given) to some runs of a case, or to all."""
+    with Simulator(case, config) as simulator:
+        comparison = Comparison(case, simulator.channels, simulator.simulate(), config, runs)
+        yield Fitter(Screen(simulator, comparison, range(len(case.runs)) if runs is None else runs, effects))
+
+
+def logged(case: Case, settings: Sequence[Setting], seed: int = 0) -> Case:
+    """The case with the log that its simulator writes under these settings, with a little noise."""
+    rng = np.random.default_rng(seed)
+    with Simulator(case, CONFIG) as simulator:
+        made = simulator.simulate(settings)
+        channels = simulator.channels
+    runs = []
+    for run, y in zip(case.runs, made, strict=True):
+        signals = {}
+        for name in dict.fromkeys(c.signal for c in channels):
+            values = y[:, [i for i, c in enumerate(channels) if c.signal == name]]
+            if name != "base_rot":
+                signals[name] = values + rng.normal(0, 1e-4, values.shape)
+        runs.append(replace(run, signals=run.signals | signals))
+    return case.with_runs(tuple(runs))
+
+
+def flights(
+    folder: Path, *, payload: float = 0.0, com: float = 0.0, thrust: Any = 1.0, runs: int = 4, seconds: float = 3.0
+) -> Case:
+    """Of a drone that is `payload` kg heavier than its model, its centre of mass `com` m in front, its thrust (or that
+    of each rotor) `thrust` times as high."""
+    spec, rng = mujoco.MjSpec.from_string(DRONE), np.random.default_rng(0)
+    spec.body("drone").mass += payload
+    spec.body("drone").ipos = [com, 0.0, 0.0]
+    for rotor, ratio in zip(spec.actuators, np.broadcast_to(thrust, 4), strict=True):
+        rotor.gainprm = rotor.gainprm * ratio
+    (folder / "runs").mkdir(parents=True)
+    rotors = [f"rotor{i}" for i in range(4)]
+    log = {"joint_names": ["tilt"], "actuator_names": rotors, "command_kind": "torque"}
+    (folder / "model.xml").write_text(DRONE)
+    (folder / "log.json").write_text(json.dumps(log | {"base": "floating", "torque_kind": "none", "imu_site": "imu"}))
+    for k in range(runs):
+        np.savez(folder / "runs" / f"flight_{k}.npz", **fly(spec.compile(), rng, seconds=seconds))
+    return load_case(folder)
