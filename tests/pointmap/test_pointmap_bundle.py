@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import pytest
+import torch
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 
-torch = pytest.importorskip("torch")
-
-from hypothesis import assume, given, settings  # noqa: E402
-from hypothesis import strategies as st  # noqa: E402
-
-from tests.pointmap.test_pointmap_poses import off, seen  # noqa: E402
-from training.pointmap import bundle, loss, poses  # noqa: E402
-from training.pointmap.layouts import library  # noqa: E402
-from training.pointmap.network import TINY, PointmapNet  # noqa: E402
-from training.pointmap.scenes import Generator  # noqa: E402
+from tests.pointmap.test_pointmap_poses import off, seen
+from training.pointmap import bundle, loss, poses
+from training.pointmap.layouts import library
+from training.pointmap.network import TINY, PointmapNet
+from training.pointmap.scenes import Generator
 
 GRID = (5, 8)
 

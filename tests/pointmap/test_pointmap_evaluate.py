@@ -7,13 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
-torch = pytest.importorskip("torch", reason="the network is torch's (extra train)")
-
-from realsim.core.errors import CaptureError  # noqa: E402
-from training.pointmap import evaluate  # noqa: E402
-from training.pointmap.layouts import LAYOUTS  # noqa: E402
-from training.pointmap.network import TINY, PointmapNet  # noqa: E402
+from realsim.core.errors import CaptureError
+from training.pointmap import evaluate
+from training.pointmap.layouts import LAYOUTS
+from training.pointmap.network import TINY, PointmapNet
 
 
 def test_generated_scenes_of_every_kind_are_measured_with_and_without_depth() -> None:

@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
+import torch
 
-torch = pytest.importorskip("torch", reason="the network is torch's (extra train)")
-
-from realsim.core.errors import RealsimError  # noqa: E402
-from training.pointmap import cameras, loss  # noqa: E402
-from training.pointmap.layouts import library  # noqa: E402
-from training.pointmap.network import TINY, PointmapNet, Prediction, Shape, count  # noqa: E402
-from training.pointmap.scenes import Batch, Generator  # noqa: E402
+from realsim.core.errors import RealsimError
+from training.pointmap import cameras, loss
+from training.pointmap.layouts import library
+from training.pointmap.network import TINY, PointmapNet, Prediction, Shape, count
+from training.pointmap.scenes import Batch, Generator
 
 SIZE = (32, 48)
 

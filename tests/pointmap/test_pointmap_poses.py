@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-torch = pytest.importorskip("torch")
-
-from hypothesis import given, settings  # noqa: E402
-from hypothesis import strategies as st  # noqa: E402
-
-from training.pointmap import loss, poses  # noqa: E402
+from training.pointmap import loss, poses
 
 
 def seen(seed: int, views: int, lost: float = 0.0, places: int = 40) -> tuple[torch.Tensor, ...]:

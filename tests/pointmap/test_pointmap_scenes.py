@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 
-torch = pytest.importorskip("torch", reason="scenes are made with torch (extra train)")
-
-from realsim.core.errors import RealsimError  # noqa: E402
-from training.pointmap import cameras, rays, sensor  # noqa: E402
-from training.pointmap.draw import Draw  # noqa: E402
-from training.pointmap.layouts import LAYOUTS, SLOTS, library  # noqa: E402
-from training.pointmap.scenes import Batch, Generator  # noqa: E402
+from realsim.core.errors import RealsimError
+from training.pointmap import cameras, rays, sensor
+from training.pointmap.draw import Draw
+from training.pointmap.layouts import LAYOUTS, SLOTS, library
+from training.pointmap.scenes import Batch, Generator
 
 SIZE = (48, 64)
 BOX, CYLINDER, BALL = 0, SLOTS["box"], SLOTS["box"] + SLOTS["cylinder"]

@@ -12,14 +12,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
-torch = pytest.importorskip("torch", reason="training is torch's (extra train)")
-
-from realsim.core.errors import RealsimError  # noqa: E402
-from training.pointmap import metrics, state, train  # noqa: E402
-from training.pointmap.layouts import library  # noqa: E402
-from training.pointmap.network import TINY, PointmapNet  # noqa: E402
-from training.pointmap.scenes import Generator  # noqa: E402
+from realsim.core.errors import RealsimError
+from training.pointmap import metrics, state, train
+from training.pointmap.layouts import library
+from training.pointmap.network import TINY, PointmapNet
+from training.pointmap.scenes import Generator
 
 SMALL = ["--shape", "tiny", "--height", "32", "--width", "48", "--images", "4", "--views", "2", "--samples", "1",
          "--scenes", "4", "--warmup", "2", "--log-every", "1", "--device", "cpu"]  # fmt: skip

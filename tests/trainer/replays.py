@@ -8,14 +8,11 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-import pytest
+import torch
+from torch.utils._python_dispatch import TorchDispatchMode, _disable_current_modes
+from torch.utils._pytree import tree_map
 
-torch = pytest.importorskip("torch", reason="the trainer needs torch (extra `train`)")
-
-from torch.utils._python_dispatch import TorchDispatchMode, _disable_current_modes  # noqa: E402
-from torch.utils._pytree import tree_map  # noqa: E402
-
-from trainer.graphs import Graph, _Captured, _tensors  # noqa: E402
+from trainer.graphs import Graph, _Captured, _tensors
 
 WAITS = {"_local_scalar_dense", "nonzero", "masked_select", "_unique2", "unique_dim", "is_nonzero", "equal", "bincount"}
 

@@ -1,20 +1,18 @@
 """The parkour environment on a double of the engine, for the tests of the task."""
 
-import pytest
+import torch
 
-torch = pytest.importorskip("torch", reason="the trainer needs torch (extra `train`)")
-
-from tests.trainer.fakes import BoxCaster, FakePhysics, course, quadruped  # noqa: E402
-from trainer.tasks.parkour import ParkourConfig, ParkourEnv  # noqa: E402
-from trainer.tasks.parkour.config import (  # noqa: E402
+from tests.trainer.fakes import BoxCaster, FakePhysics, course, quadruped
+from trainer.tasks.parkour import ParkourConfig, ParkourEnv
+from trainer.tasks.parkour.config import (
     CommandConfig,
     DepthConfig,
     ObservationConfig,
     RandomisationConfig,
     ResetConfig,
 )
-from trainer.tasks.parkour.terminations import OUTCOMES  # noqa: E402
-from trainer.terrain.edges import feature_edges  # noqa: E402
+from trainer.tasks.parkour.terminations import OUTCOMES
+from trainer.terrain.edges import feature_edges
 
 QUIET = ParkourConfig(
     command=CommandConfig(speed=(0.8, 0.8)),

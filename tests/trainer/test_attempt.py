@@ -2,15 +2,12 @@
 
 The engine is a double that moves bodies as told: no gait costs anything, so that the balance is that of the task.
 """
-# ruff: noqa: E402 - what needs torch is imported after it is known to be there
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import pytest
-
-torch = pytest.importorskip("torch", reason="the trainer needs torch (extra: train)")
 
 from tests.trainer.fakes import course, walk
 from tests.trainer.task_env import QUIET, env_of, outcome, still

@@ -1,5 +1,4 @@
 """Policies on disk: whole, readable without running code, and refused with a reason."""
-# ruff: noqa: E402 - what needs torch is imported after it is known to be there
 
 from __future__ import annotations
 
@@ -12,8 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-torch = pytest.importorskip("torch", reason="the trainer needs torch (extra: train)")
+import torch
 
 from realsim.core.errors import RealsimError
 from tests.trainer.test_ppo import SMALL

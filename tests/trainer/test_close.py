@@ -1,5 +1,4 @@
 """The log of a deployment, and the loop that begins with it, at toy size on the quadruped that ships."""
-# ruff: noqa: E402 - what needs torch is imported after it is known to be there
 
 from __future__ import annotations
 
@@ -10,8 +9,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-
-torch = pytest.importorskip("torch", reason="the trainer needs torch (extra: train)")
 
 from realsim.gap.case.case import load_case
 from realsim.gap.checks.camera.recorded import depth_camera

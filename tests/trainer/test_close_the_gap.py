@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("torch", reason="the trainer needs torch (extra `train`)")
 pytest.importorskip("cv2", reason="the figure needs OpenCV (extra `recon`)")
 
 from realsim.gap import load_case

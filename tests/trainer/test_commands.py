@@ -1,5 +1,4 @@
 """The commands, end to end on the quadruped: pretrain, fine-tune, evaluate, deploy."""
-# ruff: noqa: E402 - what needs torch is imported after it is known to be there
 
 from __future__ import annotations
 
@@ -8,8 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-
-torch = pytest.importorskip("torch", reason="the trainer needs torch (extra: train)")
+import torch
 
 from realsim.cli.command_line import main
 from realsim.cli.help import usage

@@ -1,11 +1,10 @@
 """The grid: up after success, down after little progress, and every row stays alive."""
 
 import pytest
+import torch
 
-torch = pytest.importorskip("torch", reason="the trainer needs torch (extra `train`)")
-
-from trainer.errors import TrainerError  # noqa: E402
-from trainer.tasks.parkour.curriculum import Curriculum  # noqa: E402
+from trainer.errors import TrainerError
+from trainer.tasks.parkour.curriculum import Curriculum
 
 
 def grid(worlds=400, rows=10, columns=20, seed=0):

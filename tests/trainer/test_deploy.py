@@ -1,5 +1,4 @@
 """The loop on the robot: the same numbers as in training, on time, and stopped when something is wrong."""
-# ruff: noqa: E402 - what needs torch is imported after it is known to be there
 
 from __future__ import annotations
 
@@ -8,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-torch = pytest.importorskip("torch", reason="the trainer needs torch (extra: train)")
+import torch
 
 from trainer.commands.deploy import body_of
 from trainer.deploy.loop import DeployConfig, deploy

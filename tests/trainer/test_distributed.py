@@ -1,5 +1,4 @@
 """Two gloo ranks are one rank with twice the worlds."""
-# ruff: noqa: E402 - what needs torch is imported after it is known to be there
 
 from __future__ import annotations
 
@@ -10,8 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-
-torch = pytest.importorskip("torch", reason="the trainer needs torch (extra: train)")
+import torch
 
 from tests.trainer.test_ppo import CONFIG, CPU, runner
 from tests.trainer.toy import LAYOUT, PointMass

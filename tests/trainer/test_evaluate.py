@@ -5,22 +5,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
 
-torch = pytest.importorskip("torch", reason="the trainer needs torch (extra `train`)")
-
-from hypothesis import given  # noqa: E402
-from hypothesis import strategies as st  # noqa: E402
-
-from realsim.core.errors import RealsimError, UnknownNameError  # noqa: E402
-from tests.trainer.fakes import BoxCaster, FakePhysics, course, quadruped, walk  # noqa: E402
-from tests.trainer.task_env import QUIET, outcome  # noqa: E402
-from trainer.errors import TrainerError  # noqa: E402
-from trainer.evaluate import EvaluationConfig, Setting, evaluate, run, summarise, trial_config, wilson  # noqa: E402
-from trainer.replay import Recording, record, write  # noqa: E402
-from trainer.tasks.parkour import ParkourConfig, ParkourEnv, make  # noqa: E402
-from trainer.tasks.parkour.config import DepthConfig, ResetConfig, TerminationConfig  # noqa: E402
-from trainer.tasks.parkour.terminations import OUTCOMES  # noqa: E402
-from trainer.terrain import flat, generate  # noqa: E402
+from realsim.core.errors import RealsimError, UnknownNameError
+from tests.trainer.fakes import BoxCaster, FakePhysics, course, quadruped, walk
+from tests.trainer.task_env import QUIET, outcome
+from trainer.errors import TrainerError
+from trainer.evaluate import EvaluationConfig, Setting, evaluate, run, summarise, trial_config, wilson
+from trainer.replay import Recording, record, write
+from trainer.tasks.parkour import ParkourConfig, ParkourEnv, make
+from trainer.tasks.parkour.config import DepthConfig, ResetConfig, TerminationConfig
+from trainer.tasks.parkour.terminations import OUTCOMES
+from trainer.terrain import flat, generate
 
 QUICK = replace(QUIET, termination=TerminationConfig(seconds=2.0))
 

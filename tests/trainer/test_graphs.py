@@ -3,19 +3,18 @@
 from dataclasses import fields, is_dataclass, replace
 
 import pytest
+import torch
 
-torch = pytest.importorskip("torch", reason="the trainer needs torch (extra `train`)")
-
-from tests.trainer.fakes import FakePhysics, course, quadruped  # noqa: E402
-from tests.trainer.replays import replayed, with_replays  # noqa: E402
-from tests.trainer.task_env import env_of, still  # noqa: E402
-from trainer.graphs import places, room  # noqa: E402
-from trainer.ppo import policy as policies  # noqa: E402
-from trainer.ppo.config import NetworkConfig, PPOConfig  # noqa: E402
-from trainer.ppo.distributed import Rank  # noqa: E402
-from trainer.ppo.runner import Runner  # noqa: E402
-from trainer.tasks.parkour import ParkourConfig, ParkourEnv  # noqa: E402
-from trainer.tasks.parkour.config import (  # noqa: E402
+from tests.trainer.fakes import FakePhysics, course, quadruped
+from tests.trainer.replays import replayed, with_replays
+from tests.trainer.task_env import env_of, still
+from trainer.graphs import places, room
+from trainer.ppo import policy as policies
+from trainer.ppo.config import NetworkConfig, PPOConfig
+from trainer.ppo.distributed import Rank
+from trainer.ppo.runner import Runner
+from trainer.tasks.parkour import ParkourConfig, ParkourEnv
+from trainer.tasks.parkour.config import (
     CommandConfig,
     DepthConfig,
     FloorConfig,
@@ -24,9 +23,9 @@ from trainer.tasks.parkour.config import (  # noqa: E402
     ResetConfig,
     TerminationConfig,
 )
-from trainer.tasks.parkour.randomise import Known  # noqa: E402
-from trainer.terrain import generate  # noqa: E402
-from trainer.terrain.edges import feature_edges  # noqa: E402
+from trainer.tasks.parkour.randomise import Known
+from trainer.terrain import generate
+from trainer.terrain.edges import feature_edges
 
 EVERYTHING = ParkourConfig(
     observation=ObservationConfig(history=3, steered=True),

@@ -1,5 +1,4 @@
 """The optional parts: style prior and symmetry."""
-# ruff: noqa: E402 - what needs torch is imported after it is known to be there
 
 from __future__ import annotations
 
@@ -7,8 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-
-torch = pytest.importorskip("torch", reason="the trainer needs torch (extra: train)")
+import torch
 
 from tests.trainer.test_ppo import runner
 from trainer.errors import TrainerError

@@ -11,8 +11,6 @@ from typing import Any
 
 import pytest
 
-pytest.importorskip("torch", reason="the trainer needs torch (extra: train)")
-
 from trainer.errors import TrainerError
 from trainer.ppo.export import VERSION, Deployment
 from trainer.ppo.metadata import check_graph, read_metadata

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
+import torch
 
-torch = pytest.importorskip("torch", reason="the trainer needs torch")
-import mujoco  # noqa: E402
-
-from trainer import terrain as terrains  # noqa: E402
-from trainer.physics import ENGINES, Physics, PhysicsConfig, WorldParams  # noqa: E402
-from trainer.physics.world import world_spec  # noqa: E402
-from trainer.robots import ROBOTS, TrainedRobot  # noqa: E402
-from trainer.tasks.parkour import ParkourConfig, make  # noqa: E402
-from trainer.tasks.parkour.config import DepthConfig  # noqa: E402
+from trainer import terrain as terrains
+from trainer.physics import ENGINES, Physics, PhysicsConfig, WorldParams
+from trainer.physics.world import world_spec
+from trainer.robots import ROBOTS, TrainedRobot
+from trainer.tasks.parkour import ParkourConfig, make
+from trainer.tasks.parkour.config import DepthConfig
 
 
 def engine(robot: TrainedRobot, lands, worlds: int, **config) -> Physics:

@@ -6,18 +6,16 @@ import os
 from dataclasses import replace
 from importlib.util import find_spec
 
+import mujoco
 import numpy as np
 import pytest
+import torch
 
-torch = pytest.importorskip("torch", reason="the trainer needs torch")
-
-import mujoco  # noqa: E402
-
-from trainer import terrain as terrains  # noqa: E402
-from trainer.physics import ENGINES, Physics, PhysicsConfig, WorldParams  # noqa: E402
-from trainer.physics.static_geoms import StaticGeoms  # noqa: E402
-from trainer.physics.world import PARKED_Z, slots_for, world_spec  # noqa: E402
-from trainer.robots import ROBOTS  # noqa: E402
+from trainer import terrain as terrains
+from trainer.physics import ENGINES, Physics, PhysicsConfig, WorldParams
+from trainer.physics.static_geoms import StaticGeoms
+from trainer.physics.world import PARKED_Z, slots_for, world_spec
+from trainer.robots import ROBOTS
 
 WORLDS = 4
 LANDS = [terrains.generate("stakes", 0.3, 0), terrains.generate("wedges", 0.5, 0)]

@@ -1,13 +1,12 @@
 """The policies that ship load, fit the task as it is today, and are what their exported form computes."""
 
-# ruff: noqa: E402 - what needs torch is imported after it is known to be there
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
-torch = pytest.importorskip("torch", reason="the trainer needs torch (extra `train`)")
 pytest.importorskip("onnxruntime", reason="running an exported policy needs onnxruntime")
 
 from trainer.commands.task_file import load_task

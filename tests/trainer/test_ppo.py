@@ -1,6 +1,5 @@
 """Laws of the learner: hand-computed returns, exact resume, learning a small task."""
 
-# ruff: noqa: E402 - what needs torch is imported after it is known to be there
 from __future__ import annotations
 
 import math
@@ -10,8 +9,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-
-torch = pytest.importorskip("torch", reason="the trainer needs torch (extra: train)")
+import torch
 
 from tests.trainer.toy import LAYOUT, PointMass
 from trainer.ppo import loop

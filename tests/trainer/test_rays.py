@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 
-torch = pytest.importorskip("torch", reason="the trainer needs torch")
-
-from trainer import terrain as terrains  # noqa: E402
-from trainer.rays import CASTERS, caster  # noqa: E402
+from trainer import terrain as terrains
+from trainer.rays import CASTERS, caster
 
 LANDS = [terrains.flat(), terrains.generate("wedges", 0.5, 0), terrains.generate("stakes", 0.5, 1)]
 

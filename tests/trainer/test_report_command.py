@@ -1,5 +1,4 @@
 """`realsim training report` from the command line, on a run of the trainer itself."""
-# ruff: noqa: E402 - what needs torch is imported after it is known to be there
 
 from __future__ import annotations
 
@@ -7,8 +6,6 @@ import json
 from pathlib import Path
 
 import pytest
-
-torch = pytest.importorskip("torch", reason="the trainer needs torch (extra: train)")
 
 from realsim.cli.command_line import main
 from tests import pages

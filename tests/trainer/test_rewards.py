@@ -3,16 +3,15 @@
 import math
 
 import pytest
+import torch
 
-torch = pytest.importorskip("torch", reason="the trainer needs torch (extra `train`)")
-
-from realsim.core.errors import UnknownNameError  # noqa: E402
-from tests.trainer.fakes import FakePhysics, course  # noqa: E402
-from trainer.robots import ROBOTS  # noqa: E402
-from trainer.tasks.parkour.body import Body  # noqa: E402
-from trainer.tasks.parkour.config import RewardConfig  # noqa: E402
-from trainer.tasks.parkour.rewards import TERMS, WEIGHTS, Rewards  # noqa: E402
-from trainer.tasks.parkour.signals import Command, Footholds, derive  # noqa: E402
+from realsim.core.errors import UnknownNameError
+from tests.trainer.fakes import FakePhysics, course
+from trainer.robots import ROBOTS
+from trainer.tasks.parkour.body import Body
+from trainer.tasks.parkour.config import RewardConfig
+from trainer.tasks.parkour.rewards import TERMS, WEIGHTS, Rewards
+from trainer.tasks.parkour.signals import Command, Footholds, derive
 
 CONFIG = RewardConfig()
 

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
-
-pytest.importorskip("torch", reason="the trainer needs torch")
-import mujoco
 
 from realsim.core.errors import RealsimError
 from realsim.core.geometry import quat_to_R

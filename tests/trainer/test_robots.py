@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
+import mujoco
 import numpy as np
 import pytest
-
-pytest.importorskip("torch", reason="the trainer needs torch")
-import mujoco
 
 from realsim.core.geometry import quat_to_R
 from realsim.robots import ROBOTS as DESCRIBED
@@ -126,7 +124,8 @@ def dog() -> TrainedRobot:
 def test_a_robot_of_ones_own_keeps_its_masses_its_shell_and_its_friction() -> None:
     """Masses on geoms, geoms that are only drawn and a friction that is not 1 were a crash, a collision and a wrong
     coefficient."""
-    torch = pytest.importorskip("torch", reason="the trainer needs torch (extra: train)")
+    import torch
+
     from trainer import terrain
     from trainer.physics import ENGINES, PhysicsConfig
     from trainer.tasks.parkour.gap import _nominal_friction

@@ -1,5 +1,4 @@
 """rsl_rl behind the hook: one update of its PPO is one of ours."""
-# ruff: noqa: E402 - what may be absent is imported after it is known to be there, and what is slow where it is used
 
 from __future__ import annotations
 
@@ -7,8 +6,7 @@ from dataclasses import replace
 from importlib.util import find_spec
 
 import pytest
-
-torch = pytest.importorskip("torch", reason="the trainer needs torch (extra: train)")
+import torch
 
 from tests.trainer.test_losses import _Mirror
 from tests.trainer.test_ppo import CONFIG, CPU, SMALL

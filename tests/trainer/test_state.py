@@ -5,13 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+import torch
 
-torch = pytest.importorskip("torch", reason="the trainer needs torch")
-
-from trainer.errors import TrainerError  # noqa: E402
-from trainer.policies import BASES, base_of  # noqa: E402
-from trainer.ppo import checkpoint  # noqa: E402
-from training import state  # noqa: E402
+from trainer.errors import TrainerError
+from trainer.policies import BASES, base_of
+from trainer.ppo import checkpoint
+from training import state
 
 
 @pytest.mark.parametrize(("robot", "iterations"), [("g1", 5780), ("quadruped", 2089)])

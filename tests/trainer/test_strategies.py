@@ -1,14 +1,12 @@
 """Every strategy computes what its base computes at the start, and trains only what is its own."""
 
-# ruff: noqa: E402 - what needs torch is imported after it is known to be there
 from __future__ import annotations
 
 import copy
 from dataclasses import replace
 
 import pytest
-
-torch = pytest.importorskip("torch", reason="the trainer needs torch (extra: train)")
+import torch
 
 from realsim.core.errors import RealsimError
 from tests.trainer.test_ppo import CONFIG, CPU, SMALL

@@ -4,19 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
-torch = pytest.importorskip("torch", reason="the trainer needs torch (extra `train`)")
-
-from tests.trainer.fakes import course, quadruped, walk  # noqa: E402
-from tests.trainer.task_env import QUIET, env_of, still  # noqa: E402
-from trainer.tasks.parkour import ParkourConfig  # noqa: E402
-from trainer.tasks.parkour.config import (  # noqa: E402
+from tests.trainer.fakes import course, quadruped, walk
+from tests.trainer.task_env import QUIET, env_of, still
+from trainer.tasks.parkour import ParkourConfig
+from trainer.tasks.parkour.config import (
     DepthConfig,
     TerminationConfig,
 )
-from trainer.tasks.parkour.depth import DepthWindow, crop, kept_pixels, normalise, rays  # noqa: E402
-from trainer.tasks.parkour.footholds import EdgeIndex  # noqa: E402
-from trainer.tasks.rotations import (  # noqa: E402
+from trainer.tasks.parkour.depth import DepthWindow, crop, kept_pixels, normalise, rays
+from trainer.tasks.parkour.footholds import EdgeIndex
+from trainer.tasks.rotations import (
     rotate,
 )
 

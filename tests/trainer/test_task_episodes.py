@@ -3,20 +3,19 @@
 from dataclasses import fields, replace
 
 import pytest
+import torch
 
-torch = pytest.importorskip("torch", reason="the trainer needs torch (extra `train`)")
-
-from tests.trainer.fakes import course, walk  # noqa: E402
-from tests.trainer.task_env import QUIET, env_of, outcome, still, until_an_end  # noqa: E402
-from trainer.errors import TrainerError  # noqa: E402
-from trainer.tasks.parkour import ParkourConfig  # noqa: E402
-from trainer.tasks.parkour.config import (  # noqa: E402
+from tests.trainer.fakes import course, walk
+from tests.trainer.task_env import QUIET, env_of, outcome, still, until_an_end
+from trainer.errors import TrainerError
+from trainer.tasks.parkour import ParkourConfig
+from trainer.tasks.parkour.config import (
     CommandConfig,
     RandomisationConfig,
     ResetConfig,
     TerminationConfig,
 )
-from trainer.tasks.parkour.terminations import CAUSES, OUTCOMES  # noqa: E402
+from trainer.tasks.parkour.terminations import CAUSES, OUTCOMES
 
 
 def test_standing_at_the_start_ends_after_four_seconds():

@@ -1,12 +1,10 @@
 """Help for a beginner: a floor that is raised at first, and starts along the course. And what is not counted then."""
 
-# ruff: noqa: E402 - what needs torch is imported after it is known to be there
 from dataclasses import replace
 
 import numpy as np
 import pytest
-
-torch = pytest.importorskip("torch", reason="the trainer needs torch (extra `train`)")
+import torch
 
 from tests.trainer.task_env import QUIET, env_of, still
 from trainer.errors import TrainerError

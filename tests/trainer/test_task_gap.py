@@ -7,23 +7,22 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
+import torch
 
-torch = pytest.importorskip("torch", reason="the trainer needs torch (extra `train`)")
-
-from realsim.core.geometry import quat_to_R  # noqa: E402
-from tests.trainer.fakes import BoxCaster, FakePhysics, course, quadruped  # noqa: E402
-from tests.trainer.task_env import QUIET, env_of, still  # noqa: E402
-from trainer.errors import TrainerError  # noqa: E402
-from trainer.physics import PhysicsConfig  # noqa: E402
-from trainer.robots import ROBOTS  # noqa: E402
-from trainer.tasks.parkour import ParkourConfig, ParkourEnv, make  # noqa: E402
-from trainer.tasks.parkour.build import with_known  # noqa: E402
-from trainer.tasks.parkour.config import DepthConfig, RandomisationConfig  # noqa: E402
-from trainer.tasks.parkour.gap import alone, load, patched  # noqa: E402
-from trainer.tasks.parkour.randomise import Known, informed, limited  # noqa: E402
-from trainer.tasks.parkour.variants import sizes  # noqa: E402
-from trainer.terrain import generate  # noqa: E402
-from trainer.terrain.shift import shifted  # noqa: E402
+from realsim.core.geometry import quat_to_R
+from tests.trainer.fakes import BoxCaster, FakePhysics, course, quadruped
+from tests.trainer.task_env import QUIET, env_of, still
+from trainer.errors import TrainerError
+from trainer.physics import PhysicsConfig
+from trainer.robots import ROBOTS
+from trainer.tasks.parkour import ParkourConfig, ParkourEnv, make
+from trainer.tasks.parkour.build import with_known
+from trainer.tasks.parkour.config import DepthConfig, RandomisationConfig
+from trainer.tasks.parkour.gap import alone, load, patched
+from trainer.tasks.parkour.randomise import Known, informed, limited
+from trainer.tasks.parkour.variants import sizes
+from trainer.terrain import generate
+from trainer.terrain.shift import shifted
 
 
 def cause(effect, joints=None, bodies=None, **parameters):

@@ -4,16 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
-torch = pytest.importorskip("torch", reason="the trainer needs torch (extra `train`)")
-
-from tests.trainer.fakes import quadruped  # noqa: E402
-from tests.trainer.task_env import QUIET, env_of, still  # noqa: E402
-from trainer.tasks.parkour.config import (  # noqa: E402
+from tests.trainer.fakes import quadruped
+from tests.trainer.task_env import QUIET, env_of, still
+from trainer.tasks.parkour.config import (
     ObservationConfig,
 )
-from trainer.tasks.parkour.signals import gravity_in  # noqa: E402
-from trainer.tasks.rotations import (  # noqa: E402
+from trainer.tasks.parkour.signals import gravity_in
+from trainer.tasks.rotations import (
     about_z,
     from_vector,
     heading_of,

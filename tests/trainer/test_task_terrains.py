@@ -4,22 +4,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
-torch = pytest.importorskip("torch", reason="the trainer needs torch (extra `train`)")
-
-from tests.trainer.fakes import BoxCaster, FakePhysics, course, quadruped  # noqa: E402
-from trainer.errors import TrainerError  # noqa: E402
-from trainer.replay import scene_model  # noqa: E402
-from trainer.tasks.parkour import ParkourConfig, ParkourEnv, check  # noqa: E402
-from trainer.tasks.parkour.config import (  # noqa: E402
+from tests.trainer.fakes import BoxCaster, FakePhysics, course, quadruped
+from trainer.errors import TrainerError
+from trainer.replay import scene_model
+from trainer.tasks.parkour import ParkourConfig, ParkourEnv, check
+from trainer.tasks.parkour.config import (
     CommandConfig,
     DepthConfig,
     ObservationConfig,
     RandomisationConfig,
     TerminationConfig,
 )
-from trainer.tasks.parkour.resets import Course  # noqa: E402
-from trainer.tasks.parkour.variants import scaled, scaled_spec, sizes  # noqa: E402
+from trainer.tasks.parkour.resets import Course
+from trainer.tasks.parkour.variants import scaled, scaled_spec, sizes
 
 # ---------------------------------------------------------------- terrains
 

@@ -1,12 +1,10 @@
 """The hook for learners, and the reference motion."""
-# ruff: noqa: E402 - what needs torch is imported after it is known to be there
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-
-torch = pytest.importorskip("torch", reason="the trainer needs torch (extra: train)")
+import torch
 
 from realsim.core.errors import UnknownNameError
 from trainer.errors import TrainerError

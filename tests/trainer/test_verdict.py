@@ -1,14 +1,12 @@
 """Never worse than the base: the test, what is delivered, and a training that goes back to its best policy."""
-# ruff: noqa: E402 - what needs torch is imported after it is known to be there
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import pytest
+import torch
 from scipy.stats import fisher_exact
-
-torch = pytest.importorskip("torch", reason="the trainer needs torch (extra: train)")
 
 from tests.trainer.test_ppo import BRIEF, runner
 from trainer.evaluate import Evaluation, EvaluationConfig, Result
