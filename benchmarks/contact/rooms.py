@@ -76,6 +76,12 @@ def kitchen() -> TerrainMesh:
     return _made([((0, 0, 0), (4.2, 3.4, 2.5))], things, voxel=0.02, uneven=0.005, noise=0.005, seed=3, seen=0.97)
 
 
+def closet() -> TerrainMesh:
+    """2 x 1.5 m with a chest, for tests."""
+    air: Box = ((0, 0, 0), (2, 1.5, 2.4))
+    return _made([air], [((0, 0, 0), (0.6, 1.5, 0.5))], voxel=0.03, uneven=0.004, noise=0.006, seed=4, seen=0.98)
+
+
 LARGE: dict[str, Callable[[], TerrainMesh]] = {
     "corridor, 35 x 21 m": corridor,
     "hall, 20 x 14 m": hall,

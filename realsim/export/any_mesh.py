@@ -61,7 +61,7 @@ def contact_mesh(
         raise _under_the_ground(mesh, ground, f"its highest point at z = {top:.3f} m")
     solids = Solids(made.solids, made.rest)
     files = write_terrain(folder, terrain, ground.z, config, bare=True, solids=solids)
-    hidden = hidden_cm2(terrain, files.scene_xml, ground)
+    hidden = hidden_cm2(terrain, files.scene_xml, ground, files.contact.get("noise_m", 0.0))
     if hidden and set(files.contact["geoms"]) == {"plane"}:
         raise _under_the_ground(mesh, ground, f"{hidden:.0f} cm2 of its surface below")
     contact = dict(files.contact) | {"mesh": mesh.name, "ground_z": ground.z, "ground": ground.said}

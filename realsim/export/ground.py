@@ -68,25 +68,29 @@ def ground_level(mesh: TerrainMesh) -> GroundLevel:
     )
 
 
-def hidden_cm2(mesh: TerrainMesh, scene_xml: Path, ground: GroundLevel) -> float:
+def hidden_cm2(mesh: TerrainMesh, scene_xml: Path, ground: GroundLevel, noise: float = 0.0) -> float:
     """Area of the mesh's surface below the ground, cm^2, that could be touched and is not there in the scene.
 
     What lies under another surface that faces up cannot be touched; what faces down rests on something. A pit that
     the scene has is no loss, nor are the sides of a slab, which by assumption goes on beyond the mesh.
+
+    Args:
+        noise: metres that the mesh itself may be off.
     """
     import mujoco
 
     from realsim.export.contact.probe import BALL, BALL_RADIUS, Reference, SimTouch
 
+    deep = DEEP + noise
     corners, cross = mesh.vertices[mesh.triangles], across(mesh.vertices, mesh.triangles)
     double = np.linalg.norm(cross, axis=1)
     normal = cross / np.maximum(double, 1e-20)[:, None]
-    faces = np.flatnonzero((corners[..., 2].min(1) < ground.z - DEEP) & (normal[:, 2] > -0.5))
+    faces = np.flatnonzero((corners[..., 2].min(1) < ground.z - deep) & (normal[:, 2] > -0.5))
     if not len(faces):
         return 0.0
     points, of = sampled(mesh.vertices, mesh.triangles[faces], PROBES, np.random.default_rng(0))
     share = double[faces].sum() / 2 / len(points)
-    below = points[:, 2] < ground.z - DEEP
+    below = points[:, 2] < ground.z - deep
     if ground.slab:
         low, high = mesh.vertices.min(0)[:2] + CELL, mesh.vertices.max(0)[:2] - CELL
         below &= ((points[:, :2] > low) & (points[:, :2] < high)).all(1)
@@ -98,7 +102,7 @@ def hidden_cm2(mesh: TerrainMesh, scene_xml: Path, ground: GroundLevel) -> float
         return 0.0
     upright = np.tile([1.0, 0, 0, 0], (len(off), 1))
     clearance = SimTouch(mujoco.MjSpec.from_file(str(scene_xml)), BALL).clearance(off, upright)
-    return round(float((np.abs(clearance - BALL_RADIUS) > DEEP).sum()) * share * 1e4, 1)
+    return round(float((np.abs(clearance - BALL_RADIUS) > deep).sum()) * share * 1e4, 1)
 
 
 def _lowest_level(mesh: TerrainMesh) -> tuple[float, float, float]:

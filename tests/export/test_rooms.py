@@ -8,10 +8,11 @@ from functools import cache
 import numpy as np
 import pytest
 
+from benchmarks.contact.rooms import closet
 from realsim.core.types import TerrainMesh
 from realsim.export.any_mesh import contact_verdict
 from realsim.export.contact.boxes import boxes
-from realsim.export.contact.choose import fit_contact
+from realsim.export.contact.choose import SIDES, fit_contact
 from realsim.export.contact.fidelity import OFF, lowest_near, measure
 from realsim.export.contact.patches import noise_of, patches, sampled
 from realsim.export.contact.probe import BALL, Reference, SimTouch, spec_of
@@ -181,3 +182,11 @@ def test_a_room_is_not_turned_inside_out() -> None:
     assert not any("inside out" in note for note in mended.notes)
     solid = terrain("stairs")
     assert any("inside out" in note for note in mend(solid.vertices, solid.triangles[:, ::-1]).notes)
+
+
+def test_a_noisy_wall_is_no_column() -> None:
+    """Columns beside a scanned wall go in and out of its bumps, which are nothing solid."""
+    mesh = closet()
+    shape, noise = Shape(mesh, 0.0), noise_of(mesh.vertices)
+    assert 0.002 < noise < 0.006
+    assert shape.sides_in_columns(noise) < SIDES < shape.sides_in_columns()

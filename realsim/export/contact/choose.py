@@ -72,12 +72,12 @@ def fit_contact(
     names: tuple[str, ...] = CANDIDATES if config.contact == "auto" else (config.contact,)
     tried: list[tuple[ContactModel, Fidelity]] = []
     refused: list[dict[str, Any]] = []
-    if config.contact == "auto" and (carried := shape.sides_in_columns) < SIDES:
+    noise = noise_of(mesh.vertices) if mesh.noise_m is None else mesh.noise_m
+    if config.contact == "auto" and (carried := shape.sides_in_columns(noise)) < SIDES:
         refused = [
             {"representation": name, "refused": f"columns hold {carried:.0%} of the side faces"} for name in OF_COLUMNS
         ]
         names = tuple(name for name in names if name not in OF_COLUMNS)
-        noise = noise_of(mesh.vertices)
         if mesh.noise_m is None and 2 * noise > FINE:  # walls with one side are a scan's: it is as noisy as it shows
             mesh = replace(mesh, noise_m=noise, resolution=_mean_edge(mesh))
             shape = Shape(mesh, ground_z, shape.pieces)
@@ -120,6 +120,7 @@ def fit_contact(
     ]
     summary = {"representation": contact.representation} | dict(fidelity.figures) | cost
     summary |= {"geoms": count_types(contact), "considered": considered} | dict(contact.statistics)
+    summary |= {} if mesh.noise_m is None else {"noise_m": round(mesh.noise_m, 5)}
     return Fitted(contact, fidelity, summary, warnings)
 
 

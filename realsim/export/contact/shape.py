@@ -70,11 +70,13 @@ class Shape:
         """Columns of 1 cm of the same: for closed solids."""
         return self._rest(terrain(self._left, self.ground_z, COARSE))
 
-    @cached_property
-    def sides_in_columns(self) -> float:
+    def sides_in_columns(self, noise: float = 0.0) -> float:
         """Share of the measured side faces, up to SHOULDER above the ground, that have a solid column behind them.
 
         A wall that was seen from one side has no top and no underside, so that no column knows it.
+
+        Args:
+            noise: metres that the surface is off: columns within twice that behind a wall go in and out of it.
         """
         mesh = self._left
         corners = mesh.vertices[mesh.seen]
@@ -91,7 +93,9 @@ class Shape:
         rows, columns = grid.top.shape[1:]
         solid = np.zeros(len(middle), bool)
         for far in BEHIND:
-            column, row = np.rint((middle[:, :2] + far * grid.cell * inward - grid.lower) / grid.cell).astype(int).T
+            column, row = (
+                np.rint((middle[:, :2] + (far * grid.cell + 2 * noise) * inward - grid.lower) / grid.cell).astype(int).T
+            )
             known = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
             row, column, z = np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1), middle[:, 2]
             solid |= known & ((grid.top[:, row, column] > z) & (grid.bottom[:, row, column] < z)).any(0)
