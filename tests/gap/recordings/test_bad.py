@@ -26,7 +26,6 @@ JOINTS = ["shoulder_joint", "elbow_joint"]
 
 @pytest.fixture
 def mcap(arm: Log, tmp_path: Path) -> Path:
-    pytest.importorskip("mcap_ros2", reason="mcap-ros2-support is not installed: pip install -e '.[dev]'")
     messages = writers.joint_states(arm, JOINTS) + writers.float_commands(arm)
     return writers.mcap_ros2(tmp_path / "run.mcap", sorted(messages, key=lambda m: m[3]))
 
@@ -96,7 +95,6 @@ def test_unknown_definitions_and_topics_are_listed(arm: Log, tmp_path: Path) -> 
 
 
 def test_messages_of_a_strange_type_are_read(arm: Log, tmp_path: Path) -> None:
-    pytest.importorskip("mcap_ros2", reason="mcap-ros2-support is not installed: pip install -e '.[dev]'")
     messages = [
         ("/wheels", "my_pkg/msg/Wheels", writers.STRANGE, writers.EPOCH + t,
          {"header": writers.header(writers.EPOCH + t), "wheels": [{"speed": 1.0}, {"speed": 2.0}]})

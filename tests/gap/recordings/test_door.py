@@ -86,7 +86,6 @@ def test_single_columns_by_name(arm: Log, tmp_path: Path) -> None:
 
 def test_commands_in_another_order_by_all_runs(tmp_path: Path) -> None:
     """ROS 2's usual set-up; whichever run comes first, and also where one run alone would not tell."""
-    pytest.importorskip("mcap_ros2", reason="mcap-ros2-support is not installed: pip install -e '.[dev]'")
     target = load_target(save(tmp_path, ARM))
     for order in ((0, 1, 2), (2, 1, 0)):
         folder = tmp_path / f"bags{order[0]}"
@@ -228,7 +227,6 @@ def test_names_of_joints_in_short_and_strange_ones(arm: Log, tmp_path: Path) -> 
 
 
 def test_commands_and_positions_of_two_clocks_are_refused(arm: Log, tmp_path: Path) -> None:
-    pytest.importorskip("mcap_ros2", reason="mcap-ros2-support is not installed: pip install -e '.[dev]'")
     messages = writers.joint_states(arm, list(JOINTS)) + writers.float_commands(arm, offset=-1e6)
     path = writers.mcap_ros2(tmp_path / "a.mcap", sorted(messages, key=lambda m: m[3]))
     found = propose(read(path), load_target(save(tmp_path, ARM)))

@@ -109,7 +109,6 @@ def test_a_bag_that_mixes_two_stretches_is_refused(version: int, arm: Log, tmp_p
 
 
 def test_a_folder_of_mcap_is_read_like_its_files(arm: Log, tmp_path: Path) -> None:
-    pytest.importorskip("mcap_ros2", reason="mcap-ros2-support is not installed: pip install -e '.[dev]'")
     messages: Any = writers.joint_states(arm, JOINTS) + writers.float_commands(arm)
     file = writers.mcap_ros2(tmp_path / "run.mcap", sorted(messages, key=lambda m: m[3]))
     bag = tmp_path / "bag"
@@ -123,7 +122,6 @@ def test_a_folder_of_mcap_is_read_like_its_files(arm: Log, tmp_path: Path) -> No
 
 
 def test_files_of_a_bag_are_read_as_they_were_recorded(arm: Log, tmp_path: Path) -> None:
-    pytest.importorskip("mcap_ros2", reason="mcap-ros2-support is not installed: pip install -e '.[dev]'")
     messages: Any = sorted(writers.joint_states(arm, JOINTS) + writers.float_commands(arm), key=lambda m: m[3])
     (tmp_path / "metadata.yaml").write_text("rosbag2_bagfile_information: {version: 5}\n")
     for k in range(12):
@@ -133,7 +131,6 @@ def test_files_of_a_bag_are_read_as_they_were_recorded(arm: Log, tmp_path: Path)
 
 
 def test_a_topic_that_ends_before_a_jump_is_in_one_run(arm: Log, tmp_path: Path) -> None:
-    pytest.importorskip("mcap_ros2", reason="mcap-ros2-support is not installed: pip install -e '.[dev]'")
     states: Any = writers.joint_states(arm, JOINTS)
     messages = sorted(states + writers.float_commands(arm)[:200], key=lambda m: m[3])
     back = [(*m[:3], m[3] - (2.0 if m[3] > writers.EPOCH + 2.0 else 0.0), m[4]) for m in messages]
