@@ -237,5 +237,5 @@ def test_found_where_injected(name: str, made) -> None:
 
 @pytest.mark.slow
 def test_outside_the_library_is_unexplained(made) -> None:
-    found = diagnose(load_case(made(Truth(ripple={"shoulder": 2.0}), runs=3)))
+    found = diagnose(load_case(made(Truth(ripple={"shoulder": 2.0}), runs=3, span=(2.2, 2.6))))
     assert found.verdict in ("unexplained", "partly_explained")

@@ -57,6 +57,7 @@ def test_commands_of_the_trainer_are_found_without_importing_it() -> None:
     assert all(command.summary in usage() for command in COMMANDS.values())
 
 
+@pytest.mark.slow
 def test_smoke_fine_tune(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Two iterations of adapters on a small course: figures before and after, a checkpoint, an ONNX policy."""
     out = folder / "tuned"
