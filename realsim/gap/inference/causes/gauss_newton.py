@@ -25,9 +25,9 @@ Made = TypeVar("Made")
 
 @dataclass(frozen=True)
 class Rough:
-    """How a search looks at neighbours of a set on a robot that is slow to simulate: on some of the screened runs, and
-    at coarse steps. What these do to the set itself is added, so that its neighbours differ from it as they do at fine
-    ones, to first order."""
+    """How a search looks at neighbours of a set where simulating takes long: on some of the screened runs, at coarse
+    steps. What these do to the set itself is added, so that its neighbours differ from it as they do at fine ones, to
+    first order."""
 
     runs: tuple[int, ...]
     """Positions among the screened runs."""
@@ -62,8 +62,7 @@ class GaussNewton:
         return self.screen.simulator.cores.each(function, items)
 
     def rough(self, here: Fit, every: bool = False) -> Few:
-        """How neighbours of a set are looked at in a search, if asked on every run; None on a robot that is simulated
-        fast."""
+        """How neighbours of a set are looked at in a search, if asked on every run; None where simulating is fast."""
         screen = self.screen
         if screen.varied is None:
             return None

@@ -174,7 +174,7 @@ def second_look(fitter: Fitter, here: Fit, fits: Sequence[Fit]) -> tuple[Fit, li
         fits: neighbours of the set `here`, the lowest score first.
     """
     screen = fitter.screen
-    if not fits or not screen.slow:
+    if not fits or not screen.crowded:
         return here, list(fits)  # few deviations hide nothing: slopes tell them from causes
     if not is_gap(leftover(screen, here)):  # weights hardly change: only what comes near can win
         least = asked(screen, here) if len(fits[0].causes) > len(here.causes) else figures.CLEARLY

@@ -163,8 +163,11 @@ class Screen:
                 file=simulator.case.folder,
                 hint="are the commands in the unit that log.json says, and do they move the joints?",
             )
-        self.slow = simulator.context.touches or len(simulator.case.joint_names) >= MANY_JOINTS
-        """Whether the robot takes long to simulate."""
+        self.crowded = simulator.context.touches or len(simulator.case.joint_names) >= MANY_JOINTS
+        """Whether everyday deviations are so many that a cause can hide among them."""
+        seconds, model = sum(simulator.case.runs[i].duration for i in self.runs), simulator.case.model
+        self.slow = self.crowded or seconds / simulator.context.timestep * model.nv > figures.WORK
+        """Whether the runs take long to simulate."""
         self.index = {(a.effect, a.place, a.parameter.name): i for i, a in enumerate(self.atoms)}
         self.varied = self._varied()
         self.prior = np.array([a.parameter.nuisance for a in self.atoms])
@@ -179,8 +182,8 @@ class Screen:
         self.effects = {c.effect for c in self.candidates}
 
     def _varied(self, count: int = 3) -> tuple[int, ...] | None:
-        """Positions of a few screened runs from calm to lively, for the searches of rivals on robots with feet or many
-        joints, which are slow to simulate; None where all are few."""
+        """Positions of a few screened runs from calm to lively, for the searches of rivals where simulating takes long;
+        None where it does not, or where all are few."""
         if len(self.runs) <= count or not self.slow:
             return None
         commands = [self.simulator.case.runs[r].command for r in self.runs]
