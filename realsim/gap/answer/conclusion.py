@@ -109,7 +109,7 @@ def conclude(
         notes.append(f"{', '.join(map(_name, fit.causes))}: {why}, so it is not named as the nearest")
         without = replace(selection, fit=selection.nominal, equivalent=[], notes=notes)
         return conclude(config, screen, fitter, without, held, nominal)
-    lead = None if fit.causes else _lead(fitter, selection.trials)
+    lead = None if fit.causes else _lead(fitter, selection)
     return Conclusion(
         fit, sigmas, tuple(others), checked, judgement, left, tuple(notes), tuple(warnings), lead
     )  # fmt: skip
@@ -135,13 +135,13 @@ def _gained(trials: Sequence[Trial], cause: Cause) -> float:
     return max((t.gain or 0.0 for t in trials if t.candidate.key == cause.candidate.key), default=0.0)
 
 
-def _lead(fitter: Fitter, trials: Sequence[Trial]) -> Fit | None:
+def _lead(fitter: Fitter, selection: Selection) -> Fit | None:
     """The nearest single cause at its best values, if it gains anything clearly; it is no finding."""
-    first = [t for t in trials if t.stage == 0 and t.gain is not None and t.gain > figures.CLEARLY and t.values]
+    first = [t for t in selection.trials if t.stage == 0 and (t.gain or 0.0) > figures.CLEARLY and t.values]
     if not first:
         return None
     best = max(first, key=lambda t: t.gain or 0.0)
-    found = fitter.fit([Cause(best.candidate, best.values)])
+    found = fitter.fit([Cause(best.candidate, best.values)], few=fitter.rough(selection.nominal, every=True))
     return fitter.spread(found) if found is not None and not imitates(found) else None
 
 

@@ -85,7 +85,8 @@ class Search:
         if len(self.best.causes) < 2:
             return False
         self.best = here = self.fitter.prepared(self.best)
-        fits = [self.fitter.fit(here.causes[:i] + here.causes[i + 1 :]) for i in range(len(here.causes))]
+        few = self.fitter.rough(here, every=True)
+        fits = [self.fitter.fit(here.causes[:i] + here.causes[i + 1 :], few=few) for i in range(len(here.causes))]
         for less in sorted((f for f in fits if f is not None), key=self._score):
             if said := doubts(self.fitter, less, here)[0]:
                 self._replace(less, "; ".join(said))

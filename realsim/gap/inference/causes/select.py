@@ -42,7 +42,7 @@ def select(screen: Screen, fitter: Fitter, config: DiagnoseConfig, tick: Tick = 
     gains = {}
     for i in range(len(best.causes)):
         rest = [c for j, c in enumerate(best.causes) if j != i]
-        less = fitter.fit(rest) if rest else nominal
+        less = fitter.fit(rest, few=fitter.rough(best, every=True)) if rest else nominal
         gains[i] = less.misfit - best.misfit if less is not None else 0.0
     if best.causes:
         best, nominal = fitter.spread(fitter.reweighted(best)), fitter.remeasure(nominal)
