@@ -15,7 +15,7 @@ from realsim.export.contact.boxes import boxes
 from realsim.export.contact.columns import columns
 from realsim.export.contact.fidelity import measure
 from realsim.export.contact.outline import area, convex_parts, hull, outlines
-from realsim.export.contact.planes import heights, segment, spread
+from realsim.export.contact.planes import heights, misfit, segment, spread
 from realsim.export.contact.probe import Reference, spec_of
 from realsim.export.contact.shape import Shape
 from realsim.export.contact.solids import island_solid
@@ -98,7 +98,7 @@ def test_segment_finds_the_planes_of_a_roof() -> None:
 def test_spread_cuts_a_blurred_edge_half_way() -> None:
     z = np.array([[0.2, 0.2, 0.18, 0.12, 0.06, 0.01]])
     labels = np.array([[0, 0, -1, -1, -1, -1]])
-    out = spread(labels, np.ones_like(z, bool), lambda _: np.abs(z - 0.2), np.abs(z))
+    out = spread(labels, np.ones_like(z, bool), misfit(z, np.array([[0.0, 0.0, 0.2]])), np.abs(z))
     assert (out[0, :4] == 0).all()
     assert out[0, 5] == -1
 

@@ -14,17 +14,17 @@ from realsim.export.contact.polytope import Polytope, corners_of
 F64 = NDArray[np.float64]
 ADDS = 0.004
 """Metres by which a hull may stand out of the shape; planes are fitted no more closely. On the true mesh of a rendered
-capture, 30 prisms become 17 parts and the p95 stays at 1.6 mm."""
+capture, 30 prisms become 17 parts and the p95 stays at 1.6 mm. Where it was not set: with half of it a round tub of
+thin walls has 92 parts for 51, a pallet 48 for 34, a spiral stair 14 for 12, a shelf of boards the same."""
 FEW = 0.02
-"""Share of a hull that may stand out by up to twice as much, so that no single place decides."""
+"""Share of a hull that may stand out by up to twice as much, so that no single place decides. Without it: a round tub 55
+parts for 51, a spiral stair 14 for 12, a pallet 47 for 34, and the farthest 4.3 for 7.3 mm and 0.1 for 1.5 mm."""
 SPACING = 0.02
 """Metres between the samples on a hull; the balls of the measure are 2 cm across; and..."""
 PLACES = 5000
 """...how many at most on a part: a large one is sampled more widely."""
 ALIKE = 0.98
 """Cosine between faces that are one: its plane is that of the largest."""
-TOUCH = 0.003
-"""Metres between parts that still meet: outlines are simplified one by one."""
 MOST_CORNERS = 64
 """Of one part; colliders on a GPU take no more."""
 
@@ -113,7 +113,7 @@ def merged(parts: list[Polytope], whole: Whole, adds: float = ADDS) -> list[Poly
                 kept.append(found)
                 near.update(i, found)
                 changed = True
-                for j in near.of(found.lower - TOUCH, found.upper + TOUCH, but=i):
+                for j in near.of(found.lower - adds, found.upper + adds, but=i):
                     other = out[j]
                     if other is not None and found.contains(other.points, adds).all():
                         out[j] = None
@@ -151,7 +151,7 @@ def _partner(
     """The hull of a part and of one that it meets, if there is one that adds nothing."""
     one = parts[i]
     assert one is not None
-    for j in near.of(one.lower - TOUCH, one.upper + TOUCH, but=i):
+    for j in near.of(one.lower - adds, one.upper + adds, but=i):
         other = parts[j]
         if other is None:
             continue
