@@ -25,7 +25,7 @@ LOW = 1.0
 
 
 def corridor() -> TerrainMesh:
-    """35 x 21 m, three arms 2 m wide with doors, 2.6 m high, six things in them; some 640,000 triangles."""
+    """35 x 21 m, three arms 2 m wide with doors, 2.6 m high, six things in them; some 670,000 triangles."""
     high = 2.6
     air: list[Box] = [((0, 0, 0), (35, 2.2, high)), ((32.8, 0, 0), (35, 21, high)), ((15, 2, 0), (17, 12, high))]
     for x in 2 + 3.5 * np.arange(9):

@@ -17,8 +17,9 @@ ADDS = 0.004
 capture, 30 prisms become 17 parts and the p95 stays at 1.6 mm. Where it was not set: with half of it a round tub of
 thin walls has 92 parts for 51, a pallet 48 for 34, a spiral stair 14 for 12, a shelf of boards the same."""
 FEW = 0.02
-"""Share of a hull that may stand out by up to twice as much, so that no single place decides. Without it: a round tub 55
-parts for 51, a spiral stair 14 for 12, a pallet 47 for 34, and the farthest 4.3 for 7.3 mm and 0.1 for 1.5 mm."""
+"""Share of a hull that may stand out by up to twice as much, so that no single place decides. Without it, where it was
+not set, a round tub has 55 parts for 51, a spiral stair 14 for 12, a pallet 47 for 34; the farthest error is 4.3 for
+7.3 mm, the same, and 0.1 for 1.5 mm."""
 SPACING = 0.02
 """Metres between the samples on a hull; the balls of the measure are 2 cm across; and..."""
 PLACES = 5000
