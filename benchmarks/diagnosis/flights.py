@@ -2,10 +2,11 @@
 
     python benchmarks/diagnosis/flights.py --jobs 2          # needs the flights (shared/real_logs/crazypad)
 
-The model is the published one; of each drone, every other normal flight gives its mass, the place of its centre of mass
-and how its propellers' drags differ, by the mean thrusts in the air, so that what is left is what was done to the drone
-(and the battery, which falls by a few per cent from flight to flight). The other flights are diagnosed, in windows of
-two seconds in the air; three without the yaw in their log (propeller cut by 3 mm, E8) are not.
+The model is the published one. Of each drone, every other normal flight gives how much of the firmware's thrust its
+propellers give, the place of its centre of mass and how its propellers' drags differ, by the mean thrusts in the air,
+and the motors' lag, by the vertical acceleration: what is left is what was done to the drone, and its battery, which
+lies otherwise and is at another voltage in every flight. The other flights are diagnosed, in windows of two seconds in
+the air; three without the yaw in their log (propeller cut by 3 mm, E8) are not.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from benchmarks.diagnosis.hardware.logs import write_case, write_windows
 from benchmarks.diagnosis.pool import Job, diagnose_all, read
@@ -28,9 +30,16 @@ from benchmarks.diagnosis.real import NAMES
 from benchmarks.store import Row, Store
 from realsim.gap.provenance import engine
 from realsim.gap.recordings import read as read_recording
+from realsim.gap.simulation.control import lagged
 
 ARM = 0.046 / np.sqrt(2)
 """m: M1 front right, M2 back right, M3 back left, M4 front left, 46 mm from the centre."""
+MASS = 0.0321
+"""kg, with the decks for the log and for the place."""
+LAGS = np.arange(0.01, 0.2, 0.01)
+"""s, time constants that are tried."""
+LATEST = 6
+"""Samples."""
 PLACES = ARM * np.array([(1, -1), (-1, -1), (-1, 1), (1, 1)])
 DRAG = 5.964552e-3
 """N m of torque about a rotor's axis for each newton of its thrust (Foerster, ETH 2015)."""
@@ -90,7 +99,7 @@ def make(shared: Path, folder: Path) -> list[str]:
     for drone in ("E8", "E9"):
         mine = [f for f in flights if f.name.startswith(drone)]
         normal = [f for f in mine if f.parent.name == "normal_flight"]
-        model = xml_of([part["command"] for f in normal[::2] for part in flight(f)])
+        model = xml_of([part for f in normal[::2] for part in flight(f)])
         for file in mine:
             if file in normal[::2] or not (parts := flight(file)):
                 continue
@@ -100,6 +109,7 @@ def make(shared: Path, folder: Path) -> list[str]:
                 case = write_case(folder / names[-1], model, [], ["m1", "m2", "m3", "m4"], command_kind="torque",
                                   base="floating")  # fmt: skip
                 for k, part in enumerate(parts):
+                    del part["acceleration"]
                     write_windows(case, f"{file.name}_{k}", part, WINDOW)
     return names
 
@@ -110,7 +120,8 @@ def flight(file: Path) -> list[dict[str, np.ndarray]]:
     (stream,) = recording.streams
     if "base_quat" not in stream.fields:
         return []
-    names = {"command": "motor thrust command", "base_pos": "base_pos", "base_quat": "base_quat"}
+    names = {"command": "motor thrust command", "base_pos": "base_pos", "base_quat": "base_quat",
+             "acceleration": "stateEstimate.a"}  # fmt: skip
     arrays = {k: stream.fields[name].values for k, name in names.items()} | {"time": stream.clocks["header"]}
     up = (arrays["base_pos"][:, 2] > HEIGHT) & (arrays["command"].sum(axis=1) > 0.15)
     edges = np.flatnonzero(np.diff(up, prepend=False, append=False))
@@ -119,20 +130,35 @@ def flight(file: Path) -> list[dict[str, np.ndarray]]:
     return [part | {"time": part["time"] - part["time"][0]} for part in parts]
 
 
-def xml_of(commands: list[np.ndarray]) -> str:
-    """The published model with the mass, the centre of mass and the ratio of the two kinds of propellers' drag that the
-    mean thrusts (T, 4) of some flights balance."""
-    mean = np.concatenate(commands).mean(axis=0)
-    drag = DRAG * np.sqrt((mean[[1, 3]].sum() / mean[[0, 2]].sum()) ** np.array([1, -1, 1, -1]))
+def xml_of(parts: list[dict[str, np.ndarray]]) -> str:
+    """The published model with the thrusts, the centre of mass, the ratio of the two kinds of propellers' drag and the
+    lag of the motors that some flights show."""
+    mean = np.concatenate([part["command"] for part in parts]).mean(axis=0)
+    drag = DRAG * np.sqrt((mean[[1, 3]].sum() / mean[[0, 2]].sum()) ** np.array([1, -1, 1, -1])) * [-1, 1, -1, 1]
     x, y = mean @ PLACES / mean.sum()
+    share, lag = (
+        MASS * GRAVITY / mean.sum(),
+        LAGS[np.argmax([np.mean([_follows(part, s) for part in parts]) for s in LAGS])],
+    )
     sites = "".join(f'<site name="s{k}" pos="{p[0]:.6f} {p[1]:.6f} 0"/>' for k, p in enumerate(PLACES, 1))
     motors = "".join(
-        f'<motor name="m{k}" site="s{k}" gear="0 0 1 0 0 {drag[k - 1] * (-1) ** k:.6f}"/>' for k in range(1, 5)
-    )  # fmt: skip
+        f'<general name="m{k}" site="s{k}" gear="0 0 1 0 0 {d:.6f}" gainprm="{share:.4f}" dyntype="filterexact" '
+        f'dynprm="{lag:.3f}"/>'
+        for k, d in enumerate(drag, 1)
+    )
     return f"""<mujoco model="crazyflie"><option timestep="0.005" integrator="implicitfast"/><worldbody>
 <body name="cf2" pos="0 0 0.5"><freejoint/>{sites}
-<inertial pos="{x:.6f} {y:.6f} 0" mass="{mean.sum() / GRAVITY:.5f}" diaginertia="2.3951e-5 2.3951e-5 3.2347e-5"/></body>
+<inertial pos="{x:.6f} {y:.6f} 0" mass="{MASS}" diaginertia="2.3951e-5 2.3951e-5 3.2347e-5"/></body>
 </worldbody><actuator>{motors}</actuator></mujoco>"""
+
+
+def _follows(part: dict[str, np.ndarray], lag: float) -> float:
+    """Largest correlation of the vertical acceleration, which the drone estimates some samples late, with the thrust
+    behind a lag (s), both without what is slower than 1 s."""
+    step = float(np.median(np.diff(part["time"])))
+    thrust = lagged(part["command"].sum(axis=1), lag, step)
+    sent, seen = (v - uniform_filter1d(v, round(1 / step)) for v in (thrust, part["acceleration"][:, 2]))
+    return max(float(np.corrcoef(sent[: len(sent) - k], seen[k:])[0, 1]) for k in range(LATEST))
 
 
 def judged(name: str, found: Row) -> Row:

@@ -79,7 +79,7 @@ def conclude(
         given = [f for f in selection.equivalent if not _again(screen, f, fit)]
     else:  # the search compared other sets: what is as good as what lasts is looked for anew
         fit, left, given = _simplest(screen, fitter, selection.trials, fit, left)
-    fit, left, others = _beside_imitations(screen, fitter, fit, left, given, notes)
+    fit, left, others = beside_imitations(screen, fitter, fit, left, given, notes)
     checked, warnings = _checked(config, screen, fit, selection.nominal, left, held, nominal)
     fitted = _fitted(screen, fit, selection.nominal, nominal)
     sigmas = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)) if fit.causes else np.zeros(0)
@@ -106,8 +106,13 @@ def conclude(
         and (only_imitates or not any(_told_from_none(fit, sigmas)))
     ):
         why = "larger than plausible beside no gap" if only_imitates else "not told from none"
-        notes.append(f"{', '.join(map(_name, fit.causes))}: {why}, so it is not named as the nearest")
-        without = replace(selection, fit=selection.nominal, equivalent=[], notes=notes)
+        kept = tuple(c for c in fit.causes if only_imitates and not imitates(replace(fit, causes=(c,))))
+        gone = [c for c in fit.causes if c not in kept]
+        notes.append(f"{', '.join(map(_name, gone))}: {why}, so it is not named as the nearest")
+        plain = fitter.fit(kept) if kept else None
+        without = replace(
+            selection, fit=fitter.spread(plain) if plain else selection.nominal, equivalent=[], notes=notes
+        )
         return conclude(config, screen, fitter, without, held, nominal)
     lead = None if fit.causes else _lead(fitter, selection)
     return Conclusion(
@@ -196,7 +201,7 @@ def _plainer(trials: Sequence[Trial], cause: Cause) -> Cause | None:
     return Cause(best.candidate, best.values) if best else None
 
 
-def _beside_imitations(
+def beside_imitations(
     screen: Screen, fitter: Fitter, fit: Fit, left: LeftOut | None, given: Sequence[Fit], notes: list[str]
 ) -> tuple[Fit, LeftOut | None, list[Fit]]:
     """(fit, left-out runs, others) once each cause was compared with what its effect is taken for."""

@@ -133,6 +133,7 @@ def apply_patch(spec: Any, patch: dict[str, Any]) -> Signals:
             given |= {p.name: log1p(given[p.name]) for p in parameters if p.logarithmic}
         effect.apply(edit, place, given)
     _hold_forces(edit)
+    _hold_lags(edit)
     if edit.signals.rotors:
         for key in list(spec.keys):
             spec.delete(key)  # a keyframe has the old number of coordinates
@@ -167,6 +168,18 @@ def _hold_forces(edit: Edit) -> None:
         put(actuator, "biasprm", 0, 1.0)
         put(actuator, "gainprm", 0, 0.0)
         edit.signals.pulses.remove(pulse)
+
+
+def _hold_lags(edit: Edit) -> None:
+    """A lag of the actuators is their activation's."""
+    import mujoco
+
+    for name, own in edit.context.case.lags.items() if edit.signals.actuator_lag else ():
+        actuator, lag = edit.spec.actuator(name), own + edit.signals.actuator_lag
+        actuator.dyntype = mujoco.mjtDyn.mjDYN_FILTEREXACT if lag > 0 else mujoco.mjtDyn.mjDYN_NONE
+        actuator.actearly = 1  # the force of a step is that of its control
+        put(actuator, "dynprm", 0, max(lag, 0.0))
+    edit.signals.actuator_lag = 0.0
 
 
 def patched_xml(simulator: Simulator, fit: Fit) -> str:

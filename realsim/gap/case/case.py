@@ -32,6 +32,10 @@ MOST_GEOMS = 5000
 """Every candidate cause compiles and steps the model: beyond, a search would not end."""
 
 
+FILTERS = (2, 3)
+"""mjDYN_FILTER, mjDYN_FILTEREXACT: an actuator's activation follows its control with a first-order lag."""
+
+
 @dataclass(frozen=True)
 class Case:
     """A log and the simulator that the user believes in."""
@@ -89,7 +93,11 @@ class Case:
         """Whether every run has the whole state: all joints and, where it floats, the base."""
         base = {"base_pos", "base_quat"} if self.floating else set()
         known = len(self.joint_names) + 6 * self.floating
-        return self.model.nv == known and self.model.na == 0 and all(base <= run.signals.keys() for run in self.runs)
+        return (
+            self.model.nv == known
+            and self.model.na == len(self._filters)
+            and all(base <= run.signals.keys() for run in self.runs)
+        )
 
     def has(self, signal: str) -> bool:
         """Whether every run logged this signal with at least some finite samples."""
@@ -115,6 +123,25 @@ class Case:
         """N m that its servo adds at once to the joint's torque for a unit of command; 0 without an actuator."""
         name = self.actuator_of(joint)
         return 0.0 if name is None else self.gear(joint) * float(self.model.actuator(name).gainprm[0])
+
+    @cached_property
+    def lags(self) -> dict[str, float]:
+        """Actuator -> time constant of its own first-order filter in the model, s; without those of other dynamics."""
+        import mujoco
+
+        none = int(mujoco.mjtDyn.mjDYN_NONE)
+        kinds = {name: int(self.model.actuator(name).dyntype[0]) for name in self.actuator_names}
+        return {
+            name: self._filters.get(name, 0.0) for name, kind in kinds.items() if kind == none or name in self._filters
+        }
+
+    @cached_property
+    def _filters(self) -> dict[str, float]:
+        return {
+            a.name: float(a.dynprm[0])
+            for a in map(self.model.actuator, range(self.model.nu))
+            if a.dyntype[0] in FILTERS
+        }
 
     @cached_property
     def _actuators(self) -> dict[str, str]:

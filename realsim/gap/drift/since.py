@@ -17,7 +17,9 @@ from threadpoolctl import threadpool_limits
 from realsim.core.statistics import Z90
 from realsim.core.types import F64
 from realsim.gap import figures
+from realsim.gap.answer.conclusion import beside_imitations
 from realsim.gap.answer.diagnosis import MODEL_ERROR
+from realsim.gap.answer.leaveout import leave_out
 from realsim.gap.answer.sentence import number
 from realsim.gap.case.case import Case
 from realsim.gap.config import DiagnoseConfig
@@ -90,11 +92,16 @@ def changed_since(
         simulator.begin_from(shared.settings())
         screen = Screen(simulator, comparison, fitted, config.effects, tick, since=True)
         _loosen(screen, common.fit, shared is common.fit)
-        found = select(screen, Fitter(screen), config, tick)
+        fitter = Fitter(screen)
+        found = select(screen, fitter, config, tick)
         fit, notes = found.fit, list(found.notes)
         if doubts := [d for c, sigmas in _with_errors(fit) if (d := _doubt(c, sigmas))]:
             fit, notes = found.nominal, notes + doubts
-        rivals = [f for f in found.equivalent if not any(_doubt(*c) for c in _with_errors(f))] if fit.causes else []
+        rivals: list[Fit] = []
+        if fit.causes:
+            left = leave_out(screen, fitter, fit)
+            fit, _, rivals = beside_imitations(screen, fitter, fit, left, found.equivalent, notes)
+            rivals = [f for f in map(fitter.spread, rivals) if not any(_doubt(*c) for c in _with_errors(f))]
         then, first, now = _split(pair.before, leftover(screen, found.nominal), leftover(screen, fit))
         unexplained = _stays(config, bool(fit.causes), then, first, now)
         verdict = (

@@ -72,6 +72,7 @@ def _guarded(effect: Effect, home: str) -> Effect:
 _SHARED = {
     "command_delay": "delays:COMMAND",
     "observation_delay": "delays:OBSERVATION",
+    "actuator_lag": "delays:LAG",
     **{name: f"camera:{name.upper()}" for name in ("camera_delay", "camera_mount", "depth_noise")},
 }
 """Effects of one law, in one file."""
@@ -81,6 +82,7 @@ EFFECTS = Effects(
         name: f"realsim.gap.effects.{_SHARED.get(name, f'{name}:EFFECT')}"
         for name in (
             "command_delay",
+            "actuator_lag",
             "motor_gain",
             "stiffness_gain",
             "damping_gain",

@@ -1,4 +1,4 @@
-"""Delays, of commands or of readings: one law. Where only joints are compared, they are one thing."""
+"""Delays, of commands or of readings, which are one thing where only joints are compared; and lags of actuators."""
 
 from __future__ import annotations
 
@@ -14,13 +14,16 @@ from realsim.gap.effects.base import (
     Place,
     Rivals,
     Suggestion,
+    Where,
     Words,
     joint_signals_only,
 )
 from realsim.gap.effects.sizes import size_of_delay
 
-LONGEST = 2.0
-"""s: a queue or a lost clock, not a bus."""
+LONGEST, LONGEST_LAG = 2.0, 0.5
+"""s: a queue or a lost clock, not a bus; a large propeller."""
+EVERYDAY = 0.2
+"""Of a lag that the model has: with voltage and speed a motor's changes by as much. Not tuned."""
 
 
 def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
@@ -28,18 +31,19 @@ def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
     return (Parameter("delay", "s", (-0.01, LONGEST), 0.01, nuisance=0.0012, plausible=size),)
 
 
-def delay(name: str, twin: str, words: Words) -> Effect:
+def delay(name: str, twin: str, where: Where, words: Words) -> Effect:
     """The effect that adds to the field `name` of the simulator's signals, in seconds; `twin` is the other one."""
 
     def apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
         setattr(edit.signals, name, getattr(edit.signals, name) + values["delay"])
 
     def suggest(context: Context, place: Place, values: dict[str, float]) -> list[Suggestion]:
-        return [Suggestion(twin, place, values)] if joint_signals_only(context) else []
+        found = [Suggestion(twin, place, values)] if joint_signals_only(context) else []
+        return [*found, Suggestion("actuator_lag", place, {"lag": max(values["delay"], 0.0)})]
 
     return Effect(
         name=name,
-        where=EVERYWHERE,
+        where=where,
         parameters=_parameters,
         apply=apply,
         words=words,
@@ -52,6 +56,7 @@ def delay(name: str, twin: str, words: Words) -> Effect:
 COMMAND = delay(
     "command_delay",
     "observation_delay",
+    EVERYWHERE,
     Words(
         settings=(
             "delay_min_lag, delay_max_lag of the actuator",
@@ -71,6 +76,7 @@ COMMAND = delay(
 OBSERVATION = delay(
     "observation_delay",
     "command_delay",
+    Where("global", lambda context: [()] if context.case.joint_names else []),
     Words(
         settings=(
             "delay_min_lag, delay_max_lag of the observations",
@@ -84,4 +90,34 @@ OBSERVATION = delay(
         told_by=(Distinction("a delay of the command", "an IMU or base pose", ("imu_gyro", "imu_acc", "base_pos")),),
         changed_by="other software or another bus",
     ),
+)
+
+
+def _lag_parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
+    """Beside the actuators' own lags in the model, of which no more than all can be taken away."""
+    size, own = size_of_delay(context, place), float(min(context.case.lags.values(), default=0.0))
+    return (Parameter("lag", "s", (-own, LONGEST_LAG), 0.01, nuisance=EVERYDAY * own, plausible=size),)
+
+
+def _apply_lag(edit: Edit, place: Place, values: dict[str, float]) -> None:
+    edit.signals.actuator_lag += values["lag"]
+
+
+LAG = Effect(
+    name="actuator_lag",
+    where=Where("global", lambda context: [()] if len(context.case.lags) == len(context.case.actuator_names) else []),
+    parameters=_lag_parameters,
+    apply=_apply_lag,
+    words=Words(
+        settings=("dyntype and dynprm of the actuators", "the actuator's model", "the motors' own response"),
+        title="lag of the actuators",
+        description="What actuators give follows what is commanded with a first-order lag: rotors that spin up, a slow "
+        "loop of current, a filter of set-points. Of a motor its force lags, of a position servo its set-point.",
+        signature="Slow commands come late by the time constant, fast ones are weaker, too.",
+        excitation=("commands that change slowly and quickly",),
+        told_by=(Distinction("a delay of the command", "commands that jump"),),
+        changed_by="other motors, propellers or filters",
+    ),
+    law=Law(form=EXACT),
+    rivals=Rivals(lambda context, place, values: [Suggestion("command_delay", place, {"delay": values["lag"]})]),
 )

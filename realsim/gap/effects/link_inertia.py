@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from realsim.gap.case.model.context import Context
 from realsim.gap.effects.base import (
     EXACT,
@@ -20,11 +22,17 @@ from realsim.gap.effects.base import (
 )
 from realsim.gap.effects.sizes import size_of_inertia
 
-_RATIO = relative((-0.85, 6.0), 0.6, 0.03)
+MOST, LEAST = 6.0, 0.3
+"""Share by which it may be more, and by which it may be whatever the body's shape is: published ones of a Crazyflie
+differ by 0.4."""
 
 
 def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
-    return tuple(replace(p, plausible=size_of_inertia(context, place)) for p in _RATIO(context, place))
+    """Up to all of its mass lying as far out as the body reaches, where the three sum to twice m r^2."""
+    body = context.case.model.body(place[0])
+    shell = 2 * float(body.mass[0]) * context.reach(place[0]) ** 2 / max(float(body.inertia.sum()), 1e-12)
+    ratio = relative((-0.85, float(np.clip(shell - 1, LEAST, MOST))), 0.6, 0.03)
+    return tuple(replace(p, plausible=size_of_inertia(context, place)) for p in ratio(context, place))
 
 
 def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:

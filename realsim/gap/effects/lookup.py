@@ -44,7 +44,7 @@ def _change(name: str) -> Effect:
         return [replace(s, effect=s.effect + SINCE) for s in rivals.suggest(context, place, values)]
 
     special, commoner = (n and n + SINCE for n in (rivals.special_case, rivals.commoner))
-    others = Rivals(suggest, special_case=special, commoner=commoner)
+    others = Rivals(suggest, special, commoner, tuple(n + SINCE for n in rivals.compared))
     return replace(effect, name=name + SINCE, parameters=parameters, rivals=others)
 
 

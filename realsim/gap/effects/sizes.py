@@ -41,7 +41,8 @@ def size_of_damping(context: Context, place: Place) -> Size:
 
 
 def size_of_delay(context: Context, place: Place) -> Size:
-    step = float(np.median([np.median(np.diff(run.time)) for run in context.case.runs]))
+    steps = [float(np.median(np.diff(run.time))) for run in context.case.runs]
+    step = float(np.median(steps or [0.0]))  # where a patch is applied, there are no runs
     most = max(figures.PERIODS * step, figures.LATE)
     return most, f"{figures.PERIODS:g} periods of the log and {figures.LATE:g} s"
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from scipy.signal import lfilter
 
 from realsim.core.types import F64
 from realsim.gap.case.case import Case, Run
@@ -45,13 +46,26 @@ def controls(
     mean = held_mean(time, command, grid - edit.signals.command_delay)
     control = np.zeros((steps, model.nu))
     for u, name in enumerate(case.actuator_names):
-        control[:, model.actuator(name).id] = mean[:, u]
+        i = model.actuator(name).id
+        control[:, i] = mean[:, u]
+        if (lag := case.lags.get(name, 0.0) + edit.signals.actuator_lag) > 0:
+            low, high = model.actuator_ctrlrange[i] if model.actuator_ctrllimited[i] else (-np.inf, np.inf)
+            control[:, i] = lagged(np.clip(control[:, i], low, high), lag, dt)
     for pulse in edit.signals.pulses:
         began = onsets.get(run.name) if pulse.by_onset else 0.0
         if began is not None:
             since = grid[:-1] - began
             control[:, model.actuator(pulse.actuator).id] = (since >= pulse.start) & (since < pulse.end)
     return control
+
+
+def lagged(values: F64, lag: float, dt: float) -> F64:
+    """(N,) mean over each step of the response of a first-order lag to values that are held over steps of dt; at rest
+    before the first. Both `lag`, its time constant, and dt in s."""
+    keeps = np.exp(-dt / lag)
+    at_end, _ = lfilter([1 - keeps], [1, -keeps], values, zi=[keeps * values[0]])
+    at_begin = np.concatenate([values[:1], at_end[:-1]])
+    return np.asarray(values + (at_begin - values) * (1 - keeps) * lag / dt)
 
 
 def _at_posture(case: Case, first: F64, start: Start) -> F64:

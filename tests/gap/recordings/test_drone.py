@@ -13,6 +13,7 @@ import pytest
 from realsim.core.errors import GapError
 from realsim.gap.recordings import load_target, propose, read, write_case
 from realsim.gap.recordings.arrays import run_arrays
+from realsim.gap.recordings.readers import crazyflie
 
 DRONE = """
 <mujoco><worldbody><body name="cf" pos="0 0 1"><freejoint/><geom type="box" size="0.03 0.03 0.01" mass="0.03"/>
@@ -23,18 +24,22 @@ NAMES = ["motor.m1(I)", "motor.m2(I)", "motor.m3(I)", "motor.m4(I)"]
 STATE = [f"stateEstimate.{n}(f)" for n in ("x", "y", "z", "roll", "pitch", "yaw")]
 
 
-def log(path: Path, version: int = 2, count: int = 200) -> dict[str, np.ndarray]:
-    """A flight as the firmware writes it; what it holds, in the file's units."""
+def log(path: Path, version: int = 2, count: int = 200, share: float | None = None) -> dict[str, np.ndarray]:
+    """A flight as the firmware writes it; what it holds, in the file's units. `share`: the motors' duty is logged, too,
+    as a share of what is commanded."""
     t = 0.01 * np.arange(count)
     pwm = np.stack([30000 + 2000 * np.sin(t * (k + 1)) for k in range(4)], axis=1).astype(int)
     state = np.stack([np.sin(t), np.cos(t), 1 + 0.1 * t, 5 * np.sin(t), 3 * np.cos(t), 20 * t], axis=1)
     head = struct.pack("<BHHH", 0xBC, version, 1, 255) + b"fixedFrequency\0" + struct.pack("<H", 10)
-    data = head + b"".join(n.encode() + b"\0" for n in (*NAMES, *STATE))
+    duty = [] if share is None else [f"pwm.m{k}_pwm(I)" for k in range(1, 5)]
+    head = head[:-2] + struct.pack("<H", 10 + len(duty))
+    data = head + b"".join(n.encode() + b"\0" for n in (*NAMES, *duty, *STATE))
     for i in range(count):
         stamp = (
             struct.pack("<HQ", 255, int(1e6 * t[i]) + 500) if version == 2 else struct.pack("<HI", 255, int(1e3 * t[i]))
         )
-        data += stamp + struct.pack("<4I6f", *pwm[i].tolist(), *state[i].tolist())
+        made = [] if share is None else [round(share * u) for u in pwm[i].tolist()]
+        data += stamp + struct.pack(f"<{4 + len(made)}I6f", *pwm[i].tolist(), *made, *state[i].tolist())
     path.write_bytes(data + struct.pack("<I", zlib.crc32(data)))
     return {"time": t, "pwm": pwm, "state": state}
 
@@ -63,6 +68,17 @@ def test_a_flight_becomes_a_case_without_joints(version: int, tmp_path: Path) ->
     assert "<svg" in (tmp_path / "case" / "log.html").read_text()
 
 
+@pytest.mark.parametrize(("share", "compensated"), [(1.0, False), (1.2, True)])
+def test_a_firmware_that_compensates_the_voltage_commands_thrusts(
+    share: float, compensated: bool, tmp_path: Path
+) -> None:
+    flown = log(tmp_path / "log00", share=share)
+    (run,) = read(tmp_path / "log00")
+    u = flown["pwm"].astype(float)
+    law = u * 0.060 * 9.81 / 4 / 65536 if compensated else 2.130295e-11 * u**2 + 1.032633e-6 * u + 5.484560e-4
+    np.testing.assert_allclose(run.streams[0].fields["motor thrust command"].values, law)
+
+
 def test_a_log_that_is_cut_off_or_damaged(tmp_path: Path) -> None:
     log(tmp_path / "log00")
     data = (tmp_path / "log00").read_bytes()
@@ -77,11 +93,12 @@ def test_a_log_that_is_cut_off_or_damaged(tmp_path: Path) -> None:
 
 
 def test_real_flights(shared: Callable[[str], Path]) -> None:
-    """The thrusts of the case that was made by hand from the same flight."""
+    """Commands and attitudes of the case that was made by hand from the same flight, with Foerster's law."""
     (run,) = read(shared("real_logs") / "crazypad" / "add_weight_W3_near_M3" / "E9_log00")
     made = np.load(shared("cases") / "logs" / "cf_W3_M3" / "runs" / "E9_log00_00.npz")
     fields = run.streams[0].fields
     first = int(np.argmin(np.abs(fields["base_pos"].values - made["base_pos"][0]).sum(axis=1)))
     rows = slice(first, first + len(made["time"]))
-    np.testing.assert_allclose(fields["motor thrust command"].values[rows], made["command"], atol=1e-9)
+    commanded = fields["motor thrust command"].values[rows] / crazyflie.COMPENSATED[1]
+    np.testing.assert_allclose(np.polyval(crazyflie.THRUST, commanded), made["command"], atol=1e-9)
     np.testing.assert_allclose(fields["base_quat"].values[rows], made["base_quat"], atol=0.05)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from realsim.core.types import F64
-from realsim.gap.case.case import Case
+from realsim.gap.case.case import FILTERS, Case
 from realsim.gap.case.model.deviations import Deviations
 
 
@@ -191,6 +191,9 @@ def instrumented(case: Case) -> Any:
     for key in list(spec.keys):
         spec.delete(key)  # a keyframe has the old number of coordinates once an effect adds a joint
     spec.option.disableflags = int(spec.option.disableflags) | int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    for actuator in spec.actuators:
+        if int(actuator.dyntype) in FILTERS:  # the controls lag instead: a run may then go on from any state of a log
+            actuator.dyntype = mujoco.mjtDyn.mjDYN_NONE
     kind, obj = mujoco.mjtSensor, mujoco.mjtObj
     for joint in case.joint_names:
         spec.add_sensor(name=f"rs_pos_{joint}", type=kind.mjSENS_JOINTPOS, objtype=obj.mjOBJ_JOINT, objname=joint)

@@ -57,6 +57,8 @@ class Signals:
         ),
     )
     """Seconds."""
+    actuator_lag: float = 0.0
+    """Seconds beyond the time constants that the actuators have in the model; MJCF holds it."""
     observation_delay: float = field(
         default=0.0, metadata=_wrapper("s", "read joint positions, velocities and torques this much later")
     )
@@ -117,14 +119,16 @@ class Signals:
     def moves_the_robot(self) -> bool:
         """Whether the simulation itself changes, not only what is read from it."""
         stepwise = self.load_friction or self.position_torque
-        return bool(self.command_delay or any(self.joint_offset.values()) or stepwise or self.pulses)
+        return bool(
+            self.command_delay or self.actuator_lag or any(self.joint_offset.values()) or stepwise or self.pulses
+        )
 
     def motion(self, in_motion: bool) -> str:
         """All of it that the simulation itself depends on, spelled out; `in_motion`: runs begin as the log reads."""
         offsets = {joint: offset for joint, offset in self.joint_offset.items() if offset}
         begun = (self.observation_delay, self.reading_offset) if in_motion else ()
         laws = (self.load_friction, self.position_torque, self.back_emf)
-        return repr((self.command_delay, offsets, laws, self.pulses, begun))
+        return repr((self.command_delay, self.actuator_lag, offsets, laws, self.pulses, begun))
 
 
 class Edit:

@@ -16,7 +16,7 @@ import numpy as np
 from realsim.core.types import F64
 from realsim.gap import figures
 from realsim.gap.inference.causes.fit import Fit, Fitter
-from realsim.gap.inference.causes.fitted import Trial, exchanged
+from realsim.gap.inference.causes.fitted import Trial, exchanged, imitates
 from realsim.gap.inference.causes.gauss_newton import Few
 from realsim.gap.inference.causes.leftover import is_gap, leftover
 from realsim.gap.inference.causes.proposals import ADD, EXCHANGE, Proposal, Propose, ranked
@@ -137,9 +137,9 @@ class Search:
             known.add(what)
 
     def _better(self, before: Fit, fits: Sequence[Fit]) -> bool:
-        """Whether one of the fits takes the place of the best set."""
+        """Whether one of the fits takes the place of the best set; one that imitates, only where no other may."""
         least = figures.CLEARLY if before.causes else asked(self.fitter.screen, before)
-        for fit in sorted(fits, key=lambda f: self._score(f) + bent(before, f)):
+        for fit in sorted(fits, key=lambda f: (imitates(f), self._score(f) + bent(before, f))):
             if self._score(before) - self._score(fit) < least:
                 continue
             said, held = doubts(self.fitter, before, fit)

@@ -147,6 +147,23 @@ class Comparison:
             fit = np.linalg.pinv(root[rows].reshape(-1, 1) * there, rcond=1e-6) * root[rows].reshape(-1)
             self._free[run].append((rows, there, fit))
 
+    def expect(self, run: int, slopes: F64, parts: NDArray[np.int64]) -> None:
+        """Let something unknown act in each part, steadily and independently: what it explains counts for as little as
+        it is likely (whitening of the residual, so that floor and weights hold on).
+
+        Args:
+            slopes: (T, C, K) change of the prediction by one standard deviation of each of its coordinates.
+            parts: as in `free_starts`, which comes before.
+        """
+        S = np.stack([self._mean(run, slopes[:, :, k]) for k in range(slopes.shape[2])], axis=2)
+        root = np.where(self._counts[run] > 0, self.floor(run) ** -0.5, 0.0)
+        for part in np.unique(parts):
+            rows = parts == part
+            scale = root[rows].reshape(-1, 1)
+            basis, size, _ = np.linalg.svd(scale * S[rows].reshape(-1, S.shape[2]), full_matrices=False)
+            back = np.divide(basis, scale, out=np.zeros(basis.shape), where=scale > 0)
+            self._free[run].append((rows, back * (1 - 1 / np.sqrt(1 + size**2)), (scale * basis).T))
+
     def _beside_starts(self, run: int, values: F64) -> F64:
         """(B, C) without what the states that the parts of the run begin in explain."""
         for rows, slopes, fit in self._free.get(run, []):
