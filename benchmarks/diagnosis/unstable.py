@@ -35,6 +35,8 @@ ROTORS = [(0.15, 0.15), (-0.15, 0.15), (-0.15, -0.15), (0.15, -0.15)]
 DRAG = 0.02
 """m: torque about a rotor's axis for each newton of its thrust."""
 INERTIA = np.array([0.008, 0.008, 0.014])
+GUST = 0.5
+"""s within which a gust is forgotten."""
 SITES = "".join(f'<site name="r{i}" pos="{x} {y} 0"/>' for i, (x, y) in enumerate(ROTORS))
 MOTORS = "".join(
     f'<motor name="rotor{i}" site="r{i}" gear="0 0 1 0 0 {DRAG if i % 2 == 0 else -DRAG}"/>' for i in range(4)
@@ -153,11 +155,14 @@ def _apply(spec: Any, error: Error) -> None:
             actuator.gainprm = actuator.gainprm * error.size
 
 
-def fly(model: Any, rng: np.random.Generator, late: float = 0.0, seconds: float = 5.0) -> dict[str, np.ndarray]:
-    """A flight about a point, 250 Hz."""
+def fly(
+    model: Any, rng: np.random.Generator, late: float = 0.0, seconds: float = 5.0, gusts: float = 0.0
+) -> dict[str, np.ndarray]:
+    """A flight about a point, 250 Hz; `gusts`: standard deviation of torques that come and go within half a second,
+    rad/s2."""
     data, dt = mujoco.MjData(model), model.opt.timestep
     speed, phase = rng.uniform(0.2, 0.6, 3), rng.uniform(0, 6, 3)
-    drift, rows, sent = np.zeros(3), [], [np.full(4, 1.05 * 9.81 / 4)] * (round(late / dt) + 1)
+    push, drift, rows, sent = np.zeros(3), np.zeros(3), [], [np.full(4, 1.05 * 9.81 / 4)] * (round(late / dt) + 1)
     for step in range(int(seconds / dt)):
         if step % 2 == 0:
             wave = np.sin(2 * np.pi * speed * step * dt + phase) - np.sin(phase)
@@ -168,6 +173,9 @@ def fly(model: Any, rng: np.random.Generator, late: float = 0.0, seconds: float 
             rows.append(np.concatenate([[step * dt], command, seen + rng.normal(0, [1e-3, *[5e-4] * 7, *[1e-2] * 3])]))
         sent.append(command)
         data.ctrl = sent[-1 - round(late / dt)]
+        if gusts:
+            push += np.sqrt(2 * dt / GUST) * rng.normal(0, gusts * INERTIA) - dt / GUST * push
+            data.qfrc_applied[3:6] = push
         mujoco.mj_step(model, data)
     time, command, joint, place, quat, gyro = np.split(np.array(rows), [1, 5, 6, 9, 13], axis=1)
     arrays = {"time": time[:, 0], "command": command, "joint_pos": joint, "base_pos": place, "base_quat": quat}

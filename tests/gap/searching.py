@@ -50,10 +50,11 @@ def logged(case: Case, settings: Sequence[Setting], seed: int = 0) -> Case:
 
 
 def flights(
-    folder: Path, *, payload: float = 0.0, com: float = 0.0, thrust: Any = 1.0, runs: int = 4, seconds: float = 3.0
-) -> Case:
+    folder: Path, *, payload: float = 0.0, com: float = 0.0, thrust: Any = 1.0, runs: int = 4, seconds: float = 3.0,
+    gusts: float = 0.0,
+) -> Case:  # fmt: skip
     """Of a drone that is `payload` kg heavier than its model, its centre of mass `com` m in front, its thrust (or that
-    of each rotor) `thrust` times as high."""
+    of each rotor) `thrust` times as high, in gusts of rad/s2."""
     spec, rng = mujoco.MjSpec.from_string(DRONE), np.random.default_rng(0)
     spec.body("drone").mass += payload
     spec.body("drone").ipos = [com, 0.0, 0.0]
@@ -65,5 +66,5 @@ def flights(
     (folder / "model.xml").write_text(DRONE)
     (folder / "log.json").write_text(json.dumps(log | {"base": "floating", "torque_kind": "none", "imu_site": "imu"}))
     for k in range(runs):
-        np.savez(folder / "runs" / f"flight_{k}.npz", **fly(spec.compile(), rng, seconds=seconds))
+        np.savez(folder / "runs" / f"flight_{k}.npz", **fly(spec.compile(), rng, seconds=seconds, gusts=gusts))
     return load_case(folder)

@@ -156,3 +156,10 @@ def test_a_weak_rotor_is_told_from_the_others(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_drone_as_modelled_has_no_gap(tmp_path: Path) -> None:
     assert diagnose(flights(tmp_path / "case", runs=3, seconds=2.0), EFFECTS).verdict == "no_gap"
+
+
+def test_gusts_that_a_controller_answers_are_no_cause(tmp_path: Path) -> None:
+    """Torques that turn nothing, as if the drone were heavier or slower."""
+    effects = ("thrust_gain", "link_inertia", "command_delay", "actuator_lag", "com_offset")
+    case = flights(tmp_path / "case", runs=5, seconds=2.0, gusts=4.0)
+    assert not diagnose(case, replace(CONFIG, effects=effects)).causes

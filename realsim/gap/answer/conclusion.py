@@ -226,7 +226,8 @@ def beside_imitations(
                 )
                 fit, left = rival, theirs
                 break
-            if gain <= Z90 * error:
+            beside, by = left.gained_over(theirs)
+            if gain <= Z90 * error or beside <= Z90 * by:  # what differs may be an everyday deviation
                 others.append(rival)
     return fit, left, others
 
