@@ -61,7 +61,7 @@ def main() -> int:
     if "put_in" in args.parts:
         jobs += [Job(f, work / "put_in" / engine() / n) for n, (f, _) in put_in.labelled(args.shared).items()]
     if "flights" in args.parts:
-        jobs += flights.jobs(args.shared, work / "flights").values()
+        jobs += [job for both in flights.jobs(args.shared, work / "flights").values() for job in both]
     answer(jobs)  # before cases are made, which takes minutes
     if "real" in args.parts:
         options = argparse.Namespace(work=work / "real", shared=args.shared, jobs=args.jobs, seed=1, cases=20)
@@ -82,15 +82,15 @@ def score(args: argparse.Namespace) -> int:
             row.pop("sentence" if row["right"] else "", None)
         contracts.path = RESULTS / "gap_contract.json"
         contracts.save()
-    for part, store in (("put_in", Store(RESULTS / "gap_put_in.json", ("case",))),
-                        ("flights", Store(RESULTS / "gap_flights.json", ("case",)))):  # fmt: skip
+    labels, folders = put_in.labelled(args.shared), sorted((args.out / "put_in").glob("*/*"))
+    found = [(f.name, read(Job(f, f))) for f in folders]
+    rows = [put_in.scored(name, labels[name][1], answer) for name, answer in found if answer is not None]
+    flown = flights.answered(flights.jobs(args.shared, args.out / "flights"))
+    for part, rows_of in (("put_in", rows), ("flights", flown)):
+        store = Store(RESULTS / f"gap_{part}.json", ("case",))
         store.rows = []
-        labels = put_in.labelled(args.shared)
-        for folder in sorted(f for f in (args.out / part).glob("*/*") if f.parent.name != "cases"):
-            found, name = read(Job(folder, folder)), folder.name
-            if found is not None:
-                row = put_in.scored(name, labels[name][1], found) if part == "put_in" else flights.judged(name, found)
-                store.add({k: v for k, v in row.items() if k not in ("settings", "said", "alike", "equivalent")})
+        for row in rows_of:
+            store.add({k: v for k, v in row.items() if k not in ("settings", "said", "alike", "equivalent")})
     return 0
 
 

@@ -28,6 +28,7 @@ from benchmarks.diagnosis.pool import Job, diagnose_all, read
 from benchmarks.diagnosis.put_in import sizes
 from benchmarks.diagnosis.real import NAMES
 from benchmarks.store import Row, Store
+from realsim.core.files import to_json, write_text
 from realsim.gap.provenance import engine
 from realsim.gap.recordings import read as read_recording
 from realsim.gap.simulation.control import lagged
@@ -40,6 +41,8 @@ LAGS = np.arange(0.01, 0.2, 0.01)
 """s, time constants that are tried."""
 LATEST = 6
 """Samples."""
+DEVIATIONS = "deviations.json"
+"""How far the centre of mass is moved between normal flights: the battery is taken out."""
 PLACES = ARM * np.array([(1, -1), (-1, -1), (-1, 1), (1, 1)])
 DRAG = 5.964552e-3
 """N m of torque about a rotor's axis for each newton of its thrust (Foerster, ETH 2015)."""
@@ -66,9 +69,9 @@ def main() -> int:
     args = parser.parse_args()
     wanted = jobs(args.shared, args.work)
     wanted = {n: job for n, job in wanted.items() if not args.only or any(o in n for o in args.only)}
-    diagnose_all(list(wanted.values()), args.jobs, args.minutes)
+    diagnose_all([job for both in wanted.values() for job in both], args.jobs, args.minutes)
     store = Store(args.store or args.work / "rows.json", ("case", "engine"))
-    rows = [store.add(judged(n, found)) for n, job in wanted.items() if (found := read(job)) is not None]
+    rows = [store.add(row) for row in answered(wanted)]
     for r in rows:
         print(f"{r['case']:<44} {r['verdict']:<17} {r['kind']:<8} {'; '.join(r['sizes'])}\n"
               f"{'':<44} since a normal flight: {r['since']}, {'; '.join(r['changes'])}")  # fmt: skip
@@ -81,37 +84,56 @@ def main() -> int:
     return 0
 
 
-def jobs(shared: Path, work: Path) -> dict[str, Job]:
-    """Flight -> its diagnosis, and what changed since a normal flight of the same drone."""
+def jobs(shared: Path, work: Path) -> dict[str, tuple[Job, Job]]:
+    """Flight -> its diagnosis, with what normal flights differ by as everyday deviations, and what changed since a
+    normal flight of the same drone."""
     names = make(shared, work / "cases")
     earlier = {name[-8:-6]: name for name in reversed(names) if name.startswith("normal")}
-    return {
-        n: Job(work / "cases" / n, work / engine() / n, since=work / "cases" / first if n != first else None)
-        for n in names
-        for first in [earlier[n[-8:-6]]]
-    }
+    found = {}
+    for n in names:
+        first, case = earlier[n[-8:-6]], work / "cases" / n
+        named = Job(case, work / engine() / "named" / n, {"deviations": work / "cases" / DEVIATIONS})
+        since = work / "cases" / first if n != first else None
+        found[n] = named, Job(case, work / engine() / "changed" / n, since=since)
+    return found
+
+
+def answered(wanted: dict[str, tuple[Job, Job]]) -> list[Row]:
+    """Rows of the flights of which both answers are there."""
+    answers = {n: [read(job) for job in both] for n, both in wanted.items()}
+    return [judged(n, named, changed) for n, (named, changed) in answers.items() if named and changed]
 
 
 def make(shared: Path, folder: Path) -> list[str]:
     """Write the cases that are not there yet; names of all."""
     flights = sorted((shared / "real_logs" / "crazypad").glob("*/E*"))
-    names = []
+    names, apart = [], []
     for drone in ("E8", "E9"):
         mine = [f for f in flights if f.name.startswith(drone)]
         normal = [f for f in mine if f.parent.name == "normal_flight"]
-        model = xml_of([part for f in normal[::2] for part in flight(f)])
+        parts = [flight(f) for f in normal[::2]]
+        model = xml_of([part for found in parts for part in found])
+        apart.append(np.var([centre([part["command"] for part in found]) for found in parts], axis=0, ddof=1))
         for file in mine:
-            if file in normal[::2] or not (parts := flight(file)):
+            if file in normal[::2] or not (found := flight(file)):
                 continue
             names.append(f"{file.parent.name}__{file.name}")
             if not (folder / names[-1] / "log.json").is_file():
                 shutil.rmtree(folder / names[-1], ignore_errors=True)
                 case = write_case(folder / names[-1], model, [], ["m1", "m2", "m3", "m4"], command_kind="torque",
                                   base="floating")  # fmt: skip
-                for k, part in enumerate(parts):
+                for k, part in enumerate(found):
                     del part["acceleration"]
                     write_windows(case, f"{file.name}_{k}", part, WINDOW)
+    sizes_of = dict(zip("xy", np.sqrt(np.mean(apart, axis=0)).tolist(), strict=True))
+    write_text(folder / DEVIATIONS, to_json({"com_offset": sizes_of}))
     return names
+
+
+def centre(commands: list[np.ndarray]) -> np.ndarray:
+    """(2,) m: the place of the centre of mass that the mean of thrusts (T, 4) balances."""
+    mean = np.concatenate(commands).mean(axis=0)
+    return mean @ PLACES / mean.sum()
 
 
 def flight(file: Path) -> list[dict[str, np.ndarray]]:
@@ -135,7 +157,7 @@ def xml_of(parts: list[dict[str, np.ndarray]]) -> str:
     lag of the motors that some flights show."""
     mean = np.concatenate([part["command"] for part in parts]).mean(axis=0)
     drag = DRAG * np.sqrt((mean[[1, 3]].sum() / mean[[0, 2]].sum()) ** np.array([1, -1, 1, -1])) * [-1, 1, -1, 1]
-    x, y = mean @ PLACES / mean.sum()
+    x, y = centre([part["command"] for part in parts])
     share, lag = (
         MASS * GRAVITY / mean.sum(),
         LAGS[np.argmax([np.mean([_follows(part, s) for part in parts]) for s in LAGS])],
@@ -161,11 +183,11 @@ def _follows(part: dict[str, np.ndarray], lag: float) -> float:
     return max(float(np.corrcoef(sent[: len(sent) - k], seen[k:])[0, 1]) for k in range(LATEST))
 
 
-def judged(name: str, found: Row) -> Row:
-    """The row of a flight."""
+def judged(name: str, found: Row, changed: Row) -> Row:
+    """The row of a flight, by its diagnosis and by the one beside a normal flight."""
     condition, _, log = name.partition("__")
     named = found["causes"] if found["verdict"] in NAMES else []
-    since = found.get("since") or {"verdict": "not compared", "changes": []}
+    since = changed.get("since") or {"verdict": "not compared", "changes": []}
     truth = KINDS[condition]
     answered = found["verdict"] not in ("crashed", "refused")
     motor = next((p for p in condition.split("_") if p in ("M3", "M4")), "")

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from realsim.gap import Case, DiagnoseConfig, diagnose, figures, load_case
-from realsim.gap.answer.conclusion import _again, _beside_imitations, _fitted, _lasting, _told_from_none
+from realsim.gap.answer.conclusion import _again, _fitted, _lasting, _told_from_none, beside_imitations
 from realsim.gap.answer.diagnosis import Diagnosis
 from realsim.gap.answer.leaveout import better, discrepancy, leave_out
 from realsim.gap.inference.causes.fit import Cause, Fit, Fitter
@@ -180,7 +180,7 @@ def test_a_weaker_servo_is_compared_with_load_friction(arm: Case) -> None:
         fit = its.fit([cause(its, "load_friction", 0.28)])
         assert fit is not None
         notes: list[str] = []
-        found, _, others = _beside_imitations(its.screen, its, fit, leave_out(its.screen, its, fit), [], notes)
+        found, _, others = beside_imitations(its.screen, its, fit, leave_out(its.screen, its, fit), [], notes)
     named = [c.candidate.effect for f in (found, *others) for c in f.causes]
     assert "stiffness_gain" in named
     assert found.causes[0].candidate.effect == "stiffness_gain"

@@ -86,12 +86,13 @@ def test_where_only_joints_are_logged_both_delays_are_named(arm: Case) -> None:
 def test_an_imu_tells_them_apart_where_it_is_compared(name: str, arm: Case) -> None:
     effect = EFFECTS[name]
     with Simulator(arm, CONFIG) as simulator:
-        (other,) = effect.rivals.suggest(simulator.context, (), {"delay": 0.02})
-        assert {name, other.effect} == {"command_delay", "observation_delay"}
+        found = {s.effect for s in effect.rivals.suggest(simulator.context, (), {"delay": 0.02})}
+        assert {name, *found} == {"command_delay", "observation_delay", "actuator_lag"}
         mute = also(arm, imu_acc=3, base_pos=3, contact=2)  # no site, a fixed base, and never compared
-        assert effect.rivals.suggest(replace(simulator.context, case=mute), (), {"delay": 0.02})
+        assert len(effect.rivals.suggest(replace(simulator.context, case=mute), (), {"delay": 0.02})) == 2
         heard = replace(also(arm, imu_acc=3), imu_site="wrist")
-        assert not effect.rivals.suggest(replace(simulator.context, case=heard), (), {"delay": 0.02})
+        (lag,) = effect.rivals.suggest(replace(simulator.context, case=heard), (), {"delay": 0.02})
+        assert lag.effect == "actuator_lag"
 
 
 def also(case: Case, **signals: int) -> Case:
