@@ -137,9 +137,11 @@ class Search:
             known.add(what)
 
     def _better(self, before: Fit, fits: Sequence[Fit]) -> bool:
-        """Whether one of the fits takes the place of the best set; one that imitates, only where no other may."""
+        """Whether one of the fits takes the place of the best set; beside no gap one that imitates only where no other
+        may."""
         least = figures.CLEARLY if before.causes else asked(self.fitter.screen, before)
-        for fit in sorted(fits, key=lambda f: (imitates(f), self._score(f) + bent(before, f))):
+        gap = self.fitter.screen.gap
+        for fit in sorted(fits, key=lambda f: (not gap and imitates(f), self._score(f) + bent(before, f))):
             if self._score(before) - self._score(fit) < least:
                 continue
             said, held = doubts(self.fitter, before, fit)
