@@ -34,7 +34,7 @@ from trainer.tasks.parkour.config import RandomisationConfig
 from trainer.tasks.parkour.terminations import OUTCOMES
 
 ROOT = Path(__file__).resolve().parents[2]
-DIFFICULTIES = (0.5, 0.8)
+DIFFICULTIES = (0.5, 0.8, 1.0)
 FIRST_SEED = 900
 KEY = ("robot", "base", "course", "setting", "seed")
 """`base` is the beginning of the SHA-256 of the policy: a new one does not replace old rows."""
