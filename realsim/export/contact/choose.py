@@ -80,7 +80,7 @@ def fit_contact(
         names = tuple(name for name in names if name not in OF_COLUMNS)
         if mesh.noise_m is None and 2 * noise > FINE:  # walls with one side are a scan's: it is as noisy as it shows
             mesh = replace(mesh, noise_m=noise, resolution=_mean_edge(mesh))
-            shape = Shape(mesh, ground_z, shape.pieces)
+            shape = Shape(mesh, ground_z)  # of which no piece is exact
     with steps() as tick:
         for name in names:
             tick(f"building {name}", 0.0)
