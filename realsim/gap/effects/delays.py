@@ -119,5 +119,8 @@ LAG = Effect(
         changed_by="other motors, propellers or filters",
     ),
     law=Law(form=EXACT),
-    rivals=Rivals(lambda context, place, values: [Suggestion("command_delay", place, {"delay": values["lag"]})]),
+    rivals=Rivals(
+        lambda context, place, values: [Suggestion("command_delay", place, {"delay": values["lag"]})],
+        commoner="command_delay",  # a real double pendulum's late commands look as much like a lag
+    ),
 )
