@@ -141,10 +141,11 @@ def _carriers(
     parts: list[Polytope] = []
     for k in np.argsort([-samples.area[patch.index].sum() for patch in found], kind="stable"):
         left = samples.points[found[k].index]
-        left = left[~_felt(left, [], floor, near)]
-        for part in parts:
-            if len(left) and (part.lower <= left.max(0) + near).all() and (part.upper >= left.min(0) - near).all():
-                left = left[~part.contains(left, near)]
+        if tolerance > FELT:  # where there is less noise, each small face is one of its own
+            left = left[~_felt(left, [], floor, near)]
+            for part in parts:
+                if len(left) and (part.lower <= left.max(0) + near).all() and (part.upper >= left.min(0) - near).all():
+                    left = left[~part.contains(left, near)]
         if len(left) >= max(LEAST, EDGES * len(found[k].index)):
             slabs = _slabs(found[k], samples, surface, tolerance)
             made += [(found[k], slab) for slab in slabs]
