@@ -357,7 +357,7 @@ def test_a_broken_case_stops_no_other(made: Callable[..., Path], tmp_path: Path,
     said = json.loads(capsys.readouterr().out)
     assert code == 1
     assert [item["exit_code"] for item in said["items"]] == [2, 0]
-    assert (tmp_path / "out" / "still" / "diagnosis.json").is_file()
+    assert (tmp_path / "out" / still.name / "diagnosis.json").is_file()
     assert not (tmp_path / "out" / "broken").exists()
 
 

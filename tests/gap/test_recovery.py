@@ -119,7 +119,7 @@ def recover(name: str, case: Case) -> None:
         A, b, _ = marginal(nominal.evidence, nominal.prior, np.inf)
         estimate = log_evidence(A, b, candidate.directions, slab(candidate))[1]
         begin, *more = starts(screen, candidate, estimate)
-        fit = fitter.fit([Cause(candidate, tuple(begin))], more, rough=True)
+        fit = fitter.fit([Cause(candidate, tuple(begin))], more, few=fitter.rough(nominal))
         assert fit is not None
         fit = fitter.fit(fit.causes, iterations=6) or fit
         defaults = {p.name: p.default for p in effect.parameters(simulator.context, place)} | {first.name: value}
