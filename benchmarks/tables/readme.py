@@ -47,7 +47,7 @@ def readme() -> list[str]:
         (
             "Diagnosis: `identified` with exactly the true cause / with pairs",
             f"{of(found['one cause: `identified`, with exactly that cause'])} / {of(exact)}",
-            f"simulated logs, fresh seed {FRESH[0]}, engine of {FRESH[1]}",
+            f"simulated logs, fresh seed {FRESH[0]}, engine {FRESH[1]}",
         ),
         (
             "Diagnosis: cause named first / false alarms",
@@ -57,15 +57,15 @@ def readme() -> list[str]:
         (
             "Real robots: error named first / both of two / surely wrong",
             f"{of(real['single_first_right'])} / {of(real['double_both_right'])} / {of(real['confident_and_wrong'])}",
-            "known errors in two robots' models, same engine",
+            "known errors in two models, same engine",
         ),
         (
-            "Base policy of G1 on unseen courses, difficulty 0.5 / 0.8, mean and worst family",
-            " / ".join(families(difficulty) for difficulty in ("0.5", "0.8")),
+            "G1's base policy, difficulty 0.5 / 0.8 / 1, mean and worst family",
+            " / ".join(families(difficulty) for difficulty in ("0.5", "0.8", "1")),
             f"simulation; with pushes {pushed}",
         ),
         (
-            "Fine-tuned for five minutes: terrains crossed in 97 % of trials",
+            "Fine-tuned five minutes: terrains crossed in 97 % of trials",
             well_crossed(),
             "simulation, no pushes, trials of 0.2",
         ),

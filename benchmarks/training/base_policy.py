@@ -6,7 +6,7 @@
 All courses run in one batch of worlds, which takes as long as one of them. Courses have seeds from 900 on: the
 curriculum's grid uses others. Everything is run three times: with little randomisation (0.3 of its width, no pushes),
 with all of it and pushes, and with little of it where the robot's links collide with each other too. Prints a table
-and stores the counts of every course.
+and stores the counts of every family at a difficulty, and of every test.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ def fingerprint(policy: Path) -> str:
 
 
 def rows(lands: dict[str, Any], setting: str, policy: Any, device: Any, options: Options) -> list[dict[str, Any]]:
-    """Counts of outcomes on every course."""
+    """Counts of outcomes, courses of one family and difficulty together."""
     task, pushes = SETTINGS[setting]
     count = options.trials * len(lands)
     config = EvaluationConfig(trials=count, worlds=count, seed=options.seed, pushes=pushes)
@@ -105,18 +105,12 @@ def rows(lands: dict[str, Any], setting: str, policy: Any, device: Any, options:
         seed=options.seed,
     )
     outcome = run(policy.act, env, count).outcome.tolist()
-    names = list(lands)  # world k is on course k modulo their number
-    return [
-        {
-            "robot": policy.robot,
-            "course": name,
-            "setting": setting,
-            "trials": options.trials,
-            **Counter(OUTCOMES[o] for o in outcome[i :: len(names)]),
-            "seed": options.seed,
-        }
-        for i, name in enumerate(names)
-    ]
+    counts: dict[str, Counter[str]] = {}
+    for i, name in enumerate(lands):  # world k is on course k modulo their number
+        kind = ":".join(name.split(":")[:2])
+        counts.setdefault(kind, Counter()).update(OUTCOMES[o] for o in outcome[i :: len(lands)])
+    same = {"robot": policy.robot, "setting": setting, "seed": options.seed}
+    return [{"course": kind, "trials": found.total(), **found, **same} for kind, found in counts.items()]
 
 
 def grouped(rows: list[dict[str, Any]], setting: str, robot: str = "g1", base: str = "") -> dict[str, tuple[int, int]]:
@@ -126,9 +120,7 @@ def grouped(rows: list[dict[str, Any]], setting: str, robot: str = "g1", base: s
     sums: dict[str, tuple[int, int]] = {}
     for row in rows:
         if (row["robot"], row["base"], row["setting"]) == (robot, base, setting):
-            name = ":".join(row["course"].split(":")[:2])
-            won, count = sums.get(name, (0, 0))
-            sums[name] = won + row.get("success", 0), count + row["trials"]
+            sums[row["course"]] = row.get("success", 0), row["trials"]
     return sums
 
 
