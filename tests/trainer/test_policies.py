@@ -54,9 +54,10 @@ def test_the_exported_policy_is_the_checkpoint(robot: str) -> None:
 
 @pytest.mark.parametrize("robot", BASES)
 def test_fine_tuning_goes_on_in_the_task_of_the_base(robot: str) -> None:
-    """But for a beginner's help and how hard a push is; trials without a task file stay as they were."""
+    """But for a beginner's help and for pushes; trials without a task file stay as they were."""
     task, trained = load_task(TASKS[robot]), load_task(TRAINING / robot / "task.json")
-    random = replace(trained.randomisation, push=task.randomisation.push)
+    pushes = {name: getattr(task.randomisation, name) for name in ("push", "push_seconds")}
+    random = replace(trained.randomisation, **pushes)
     assert task == replace(trained, floor=task.floor, reset=task.reset, randomisation=random)
     assert task.self_collision
     assert not ParkourConfig().self_collision
