@@ -72,7 +72,9 @@ def fit_contact(
     names: tuple[str, ...] = CANDIDATES if config.contact == "auto" else (config.contact,)
     tried: list[tuple[ContactModel, Fidelity]] = []
     refused: list[dict[str, Any]] = []
-    noise = noise_of(mesh.vertices) if mesh.noise_m is None else mesh.noise_m
+    noise = mesh.noise_m
+    if noise is None:  # what is closed was modelled, or has an inside; only open walls are a scan's for sure
+        noise = 0.0 if _closed(mesh) else noise_of(mesh.vertices)
     if config.contact == "auto" and (carried := shape.sides_in_columns(noise)) < SIDES:
         refused = [
             {"representation": name, "refused": f"columns hold {carried:.0%} of the side faces"} for name in OF_COLUMNS
@@ -127,6 +129,12 @@ def fit_contact(
 def _uncertain(mesh: TerrainMesh) -> float:
     """Metres that the surface itself may be off: its noise, and where voxels round an inner edge, half of one."""
     return 0.0 if mesh.noise_m is None else max(mesh.noise_m, mesh.resolution / 2)
+
+
+def _closed(mesh: TerrainMesh) -> bool:
+    """Whether no edge has one triangle alone."""
+    edges = np.sort(mesh.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    return bool((np.unique(edges, axis=0, return_counts=True)[1] > 1).all())
 
 
 def _mean_edge(mesh: TerrainMesh) -> float:
