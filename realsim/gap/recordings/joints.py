@@ -51,7 +51,8 @@ def position(e: Evidence) -> None:
     field = e.of(source)[1]
     if e.target is None:
         labels = field.labels or tuple(f"{source.member}[{i}]" for i in range(field.width))
-        e.settle("joint_pos", source, range(field.width), labels, [f"by {source.why}"], unit=source.unit)
+        size = ANGLE.get(source.unit, 1.0)
+        e.settle("joint_pos", source, range(field.width), labels, [f"by {source.why}"], scale=size, unit=source.unit)
         return
     columns, names, how, doubtful = _which_joints(e, source, field)
     if not columns:

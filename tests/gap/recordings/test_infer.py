@@ -56,6 +56,15 @@ def test_unit_and_sign_of_velocities_by_the_positions(arm: Log, tmp_path: Path, 
     np.testing.assert_allclose(speed.values(Field(factor * arm.vel)), arm.vel, atol=1e-9)
 
 
+def test_velocities_without_a_model_are_in_the_unit_of_their_name(arm: Log) -> None:
+    fields = {"q": Field(np.degrees(arm.pos), ("a [deg]", "b [deg]"), "deg"),
+              "q_des": Field(np.degrees(arm.command), ("a [deg]", "b [deg]"), "deg"),
+              "dq": Field(np.degrees(arm.vel), ("a [deg/s]", "b [deg/s]"), "deg/s")}  # fmt: skip
+    found = propose([recording(Stream("", "table", {"time": arm.time}, fields))])
+    assert found.assignments["joint_pos"].unit == found.assignments["command"].unit == "deg"
+    assert found.assignments["joint_vel"].unit == "deg/s"
+
+
 @pytest.mark.parametrize(("unit", "factor"), [("N m", 1.0), ("mN m", 1000.0), ("N m", -1.0)])
 def test_unit_and_sign_of_torques_by_inverse_dynamics(arm: Log, tmp_path: Path, unit: str, factor: float) -> None:
     target = load_target(save(tmp_path, ARM))
