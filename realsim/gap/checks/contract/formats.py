@@ -174,7 +174,7 @@ def _of_io_descriptors(content: Mapping[str, Any]) -> Contract:
     )  # fmt: skip
 
 
-def load_policy(path: Path, deploy: Path | None = None, joints: Sequence[str] = ()) -> Contract:
+def load_policy(path: Path | str, deploy: Path | str | None = None, joints: Sequence[str] = ()) -> Contract:
     """The contract of a policy.
 
     Args:
@@ -185,6 +185,7 @@ def load_policy(path: Path, deploy: Path | None = None, joints: Sequence[str] = 
     Raises:
         GapError: no ONNX, no contract in it, or one that does not fit the network.
     """
+    path, deploy = Path(path), Path(deploy) if deploy is not None else None
     try:
         session = open_network(path)
     except ModelError as error:

@@ -231,7 +231,7 @@ def test_contracts_of_other_tools(tmp_path: Path) -> None:
     numbers = ("default_joint_pos", "action_scale", "joint_stiffness", "joint_damping")
     seen = "base_ang_vel,projected_gravity,command,joint_pos,joint_vel,actions"
     meta = {"joint_names": ",".join(JOINTS), "observation_names": seen} | dict.fromkeys(numbers, six)
-    made = load_policy(onnx_policy(tmp_path / "mjlab.onnx", 27, meta))
+    made = load_policy(str(onnx_policy(tmp_path / "mjlab.onnx", 27, meta)))  # paths may be text
     assert made.joints == JOINTS
     assert made.width == 27
     assert made.run(np.ones((2, 27)), None).shape == (2, 6)
