@@ -80,9 +80,10 @@ def read_mesh(path: Path, unit: str | None = None, up: str = "auto") -> MeshFile
         raise ExportError(f"unknown unit {unit!r}", expected=f"one of {', '.join(UNITS)}")
     if up not in UP:
         raise ExportError(f"unknown axis {up!r}", expected=f"one of {', '.join(UP)}")
-    if path.suffix.lower() not in FORMATS:
+    if (suffix := path.suffix.lower()) not in FORMATS:
+        hint = "export it as one of these from the program that made it" + "; a .gltf as .glb" * (suffix == ".gltf")
         raise ExportError(
-            "not a mesh file", file=path, expected=f"one of {' '.join(FORMATS)}", found=path.suffix, hint=AGAIN
+            "not a mesh file", file=path, expected=f"one of {' '.join(FORMATS)}", found=path.suffix, hint=hint
         )
     vertices, triangles, notes = _read(path)
     notes += [note for note in (loose_vertices(len(vertices), triangles), lonely_vertex(vertices)) if note]

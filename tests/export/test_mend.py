@@ -175,6 +175,9 @@ def test_other_suffixes_and_units_are_refused(tmp_path: Path) -> None:
         read_mesh(path)
     with pytest.raises(ExportError, match="unknown unit"):
         read_mesh(path, "furlong")
+    with pytest.raises(ExportError, match="not a mesh file") as refused:
+        read_mesh(tmp_path / "a.gltf")
+    assert "as .glb" in refused.value.render()
 
 
 def test_solids_on_a_floor_do_not_overlap() -> None:
