@@ -77,3 +77,10 @@ def test_what_holds_beside_everyday_deviations_only_is_said_so() -> None:
 
 def test_no_gap_has_no_size() -> None:
     assert brief(data("no_gap", 0))["size"] == []
+
+
+@pytest.mark.parametrize(("verdict", "said"), [("no_gap", "robots of one kind differ"), ("unexplained", "not explain")])
+def test_why_the_nearest_cause_is_no_finding(verdict: str, said: str) -> None:
+    ((label, text),) = brief(data(verdict, 0) | {"lead": cause("joint_0")})["cause"]
+    assert label == "nearest"
+    assert said in text

@@ -28,7 +28,9 @@ def brief(data: Mapping[str, Any]) -> dict[str, list[Row]]:
 def _causes(data: Mapping[str, Any]) -> list[Row]:
     rows = [("cause" if i == 0 else "and", phrase(c)) for i, c in enumerate(data["causes"][:MOST_CAUSES])]
     if not rows and data.get("lead"):
-        rows = [("nearest", f"{phrase(data['lead'])}: within what robots of one kind differ by")]
+        small = data["verdict"] == "no_gap"
+        why = "within what robots of one kind differ by" if small else "it does not explain the runs"
+        rows = [("nearest", f"{phrase(data['lead'])}: {why}")]
     others = data["equivalent"]
     if others:
         first = " with ".join(phrase(c) for c in others[0])
