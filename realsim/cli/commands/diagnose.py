@@ -93,6 +93,8 @@ def diagnose(
             note(f"{cases[0]} is read as {case}; why: realsim log {cases[0]} --model {model}")
         refuse_within(out, case)
         found = None if policy is None else _contract(case, policy, deploy_yaml)
+        if found is not None:
+            note(found.sentence)  # what was asked first, minutes before the rest
         with steps() as tick:
             result = gap.run_case(
                 case, out, config, tick, overwrite=overwrite, scene=scene, recordings=recordings, since=since

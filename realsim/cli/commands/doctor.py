@@ -31,7 +31,7 @@ def doctor(
         policy: policy.onnx that ran.
         deploy_yaml: its contract where the file has none: deploy.yaml of unitree_rl_lab, IO_descriptors.yaml of Isaac
             Lab.
-        model: of the robot, where LOG is a recording (MCAP, bag, CSV, ...).
+        model: of the robot, where PATH is a recording (MCAP, bag, CSV, ...).
         scene: scene.xml on which the robot walked (default: the terrain of the case's model).
         out: gets doctor.json and report.html.
         overwrite: replace an output folder that realsim wrote before.

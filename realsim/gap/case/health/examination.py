@@ -114,7 +114,8 @@ def _excitation(case: Case) -> list[str]:
         )
     moved = np.max([np.ptp(r.command, axis=0) for r in case.runs], axis=0)
     idle = [name for name, m in zip(case.actuator_names, moved, strict=True) if m < 1e-6]
-    said = [f"{still} runs hold one command: they show only loads at rest"] if still else []
+    who = "1 run holds" if still == 1 else f"{still} runs hold"
+    said = [f"{who} one command: loads at rest are all that shows"] if still else []
     if any(len(group) == len(case.runs) for group in replicates(case)):
         said.append("all runs repeat one command: no run is left to check the diagnosis on; record other motion too")
     if idle:

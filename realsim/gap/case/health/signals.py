@@ -62,7 +62,8 @@ def clocks(case: Case) -> tuple[dict[str, Any], Said]:
         elif jitter > 0.3 * median:
             said.append(f"{run.name}: the sampling step varies by {jitter / median:.0%}: check what stamps the samples")
         if gaps.any():
-            said.append(f"{run.name}: {int(gaps.sum())} gaps in time, the longest {step.max():.3g} s")
+            longest = f"the longest {step.max():.3g} s"
+            said.append(f"{run.name}: {int(gaps.sum())} gaps in time, {longest}: the last command holds there")
         said += _stale(run.name, run.signals["joint_pos"], run.command, case.joint_names)
     usual, length = float(np.median(steps)), float(sum(r.duration for r in case.runs))
     if usual > SLOWEST or length < SHORTEST:
