@@ -165,7 +165,10 @@ def _static(model: Any, path: Path) -> _Static:
     drawn = visual or own
     if not parts or not drawn:
         found = f"{len(parts)} static geoms that collide, besides planes"
-        raise ExportError("nothing to measure", file=path, expected="static boxes or meshes that collide", found=found)
+        raise ExportError(
+            "nothing to measure", file=path, expected="static boxes or meshes that collide", found=found,
+            hint="give the scene's model: bodies with joints (robots) are left out; realsim contact MESH makes a scene",
+        )  # fmt: skip
     lowest = min(float(v[:, 2].min()) for v, _ in drawn)
     return _Static(spec, drawn, parts, hulls, max(planes, default=lowest), len(planes))
 
