@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
+import realsim as rs
 from benchmarks.contact.rooms import closet
 from realsim.core.types import TerrainMesh
 from realsim.export.any_mesh import contact_verdict
@@ -190,3 +194,12 @@ def test_a_noisy_wall_is_no_column() -> None:
     shape, noise = Shape(mesh, 0.0), noise_of(mesh.vertices)
     assert 0.002 < noise < 0.006
     assert shape.sides_in_columns(noise) < SIDES < shape.sides_in_columns()
+
+
+def test_the_steps_of_an_open_wall_are_no_bays(tmp_path: Path) -> None:
+    """Stairs of which one top is missing are no scan: nothing is put where nothing is."""
+    steps = [trimesh.creation.box(bounds=[(0.3 * k, 0, 0), (0.3 * k + 0.3, 1, 0.12 * k)]) for k in (1, 2, 3, 4)]
+    steps[2].update_faces(steps[2].face_normals[:, 2] < 0.5)
+    trimesh.util.concatenate(steps).export(tmp_path / "stairs.stl")
+    files = rs.contact(tmp_path / "stairs.stl", tmp_path / "contact")
+    assert json.loads((files.folder / "contact.json").read_text())["phantom_over_gaps_cm2"] == 0

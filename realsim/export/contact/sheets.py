@@ -180,7 +180,8 @@ def _slabs(patch: Patch, samples: Samples, surface: Reference, tolerance: float)
     mask[rows, columns] = (np.abs(t - 2 * tolerance) < 1.5 * tolerance) & (cosine < 0)
     facing = 0.0 if abs(normal[2]) < 0.5 else float(np.sign(normal[2]))
     # A dent is no way through, nor a hole in a wall that nothing was seen through; but a foot gets what was seen alone.
-    rows, columns = np.nonzero(_closed(mask, round(CLOSED / cell)) & ~mask)
+    bay = CLOSED if tolerance > FELT else 0.0  # the rim of what has less noise is its own: steps, not bays
+    rows, columns = np.nonzero(_closed(mask, round(bay / cell)) & ~mask)
     at = patch.origin + (lower + cell * np.column_stack([columns, rows])) @ patch.axes[:2]
     t, _, _ = surface.cast(at + 2 * tolerance * normal, np.broadcast_to(-normal, at.shape))
     mask[rows, columns] = (np.isinf(t) & (facing <= 0)) | (t < 4 * tolerance)
@@ -209,10 +210,10 @@ def _closed(mask: NDArray[np.bool_], radius: int) -> NDArray[np.bool_]:
     """A region without its holes, and without bays in its rim that are narrower than twice `radius` cells."""
     from scipy import ndimage
 
-    wide = np.pad(mask, radius)
+    wide = np.pad(mask, radius + 1)
     far = ndimage.distance_transform_edt(~wide) > radius
     bays = ndimage.distance_transform_edt(~far) > radius if far.any() else wide
-    return np.asarray(ndimage.binary_fill_holes(wide | bays))[radius:-radius, radius:-radius]
+    return np.asarray(ndimage.binary_fill_holes(wide | bays))[radius + 1 : -radius - 1, radius + 1 : -radius - 1]
 
 
 def _thickness(points: F64, behind: F64, surface: Reference, most: float) -> float:
