@@ -101,7 +101,7 @@ def _made(
     """A mesh of what is air, less what things take of it.
 
     Args:
-        voxel: metres. uneven: metres RMS that the surface is off. noise: metres that its points are said to be off.
+        voxel: metres. uneven: metres RMS that the surface is off. noise: metres of noise that the mesh states.
         seen: share of the surface that was seen.
     """
     from scipy import ndimage

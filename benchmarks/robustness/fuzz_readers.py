@@ -27,7 +27,7 @@ from realsim.core.errors import RealsimError
 from realsim.core.files import digest, read_json
 
 TOLD = ("assumptions", "dropped", "notes", "reasons", "unused", "warnings")
-"""Lists in a command's answer that a user is told something by."""
+"""Lists of warnings in a command's answer."""
 
 
 @dataclass
@@ -383,7 +383,7 @@ def read_request(folder: Path) -> Reading:
 
 
 def _told(answer: Any) -> Iterator[str]:
-    """All that an answer warns of, wherever it stands in it."""
+    """All warnings of an answer, at any depth."""
     if isinstance(answer, dict):
         for name, value in answer.items():
             yield from map(str, value) if name in TOLD and isinstance(value, list) else _told(value)

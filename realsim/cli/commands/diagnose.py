@@ -94,7 +94,7 @@ def diagnose(
         refuse_within(out, case)
         found = None if policy is None else _contract(case, policy, deploy_yaml)
         if found is not None:
-            note(found.sentence)  # what was asked first, minutes before the rest
+            note(found.sentence)  # the answer of the policy check, minutes before the search
         with steps() as tick:
             result = gap.run_case(
                 case, out, config, tick, overwrite=overwrite, scene=scene, recordings=recordings, since=since

@@ -18,7 +18,7 @@ F64 = NDArray[np.float64]
 UPRIGHT = np.array([1.0, 0, 0, 0])
 EDGE = 0.015  # metres: what is farther off than this is phantom or missing surface
 HALF_FOOT = 0.035  # metres: half the width of G1's foot
-BESIDE = 1.0  # metres: as large as holes that scans leave in ceilings
+BESIDE = 1.0  # metres: as large as holes that scans leave in ceilings; set by hand on a made kitchen and hall
 DROP = 0.02  # metres of height, the same for a ball lowered straight down
 # The target for rooms; two standard errors beside it were added after one of 220 rays too many on a rendered capture.
 OFF = 0.03  # most of the heights, and of the rays from the side, that may be off
