@@ -20,7 +20,7 @@ from benchmarks.tables.api import functions
 
 ROOT = Path(__file__).resolve().parents[2]
 PLOTS = ROOT / "benchmarks" / "plots"
-PAGES = ("README.md", "benchmarks/REPORT.md", "docs/api.md", "benchmarks/results/README.md")
+PAGES = ("README.md", "benchmarks/REPORT.md", "docs/api.md", "benchmarks/results/README.md", "trainer/policies/CARD.md")
 TABLES: dict[str, Callable[[], list[str]]] = {
     "readme": readme.readme,
     "functions": functions,
