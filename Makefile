@@ -1,8 +1,7 @@
 # `make demo` and `make test` are all that a fresh machine needs; they make .venv/ first, with what each needs.
 PYTHON ?= python3
 BIN := .venv/bin
-# Modules are compiled when they are first imported, not all 22,000 at once.
-PIP := $(BIN)/python -m pip install --disable-pip-version-check --no-compile --constraint constraints.txt --editable
+INSTALL := bash tools/install.sh $(BIN)/python --constraint constraints.txt --editable
 EXTRAS := dev,docs,recon,viewer,colmap,phone,lidar,logs,usd,ray,slurm,mcp,app,train,warp,rsl-rl
 # Directories whose tests take a second or less each: what `make check` runs beside the linters.
 QUICK := tests/core tests/cli tests/scale tests/align tests/robots tests/report tests/test_imports.py
@@ -52,17 +51,18 @@ venv: .venv/.stamp
 	bash tools/system_packages.sh
 	$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14) and "Python 3.11 to 3.13 is needed: make PYTHON=python3.11 ...")'
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	-$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt uv
 	touch $@
 
 # The demo needs neither torch nor ray: 2.1 GB instead of 4.6.
 .venv/.demo: pyproject.toml constraints.txt .venv/.made
 	@echo "installing what the demo needs into .venv (once)"
-	test -e .venv/.stamp || $(PIP) '.[recon]'
+	test -e .venv/.stamp || $(INSTALL) '.[recon]'
 	touch $@
 
 .venv/.stamp: pyproject.toml constraints.txt .venv/.made
 	@echo "installing all parts into .venv (once)"
-	$(PIP) '.[$(EXTRAS)]'
+	$(INSTALL) '.[$(EXTRAS)]'
 	touch $@
 
 clean:

@@ -25,7 +25,7 @@ if [ $part != extras ]; then
   "$python" -m pip install --quiet --disable-pip-version-check --dry-run --ignore-installed --no-deps --no-index \
     --find-links "$work" "realsim[recon]"
   "$python" -m venv "$work/core"
-  "$work/core/bin/python" -m pip install --quiet --disable-pip-version-check --no-compile --constraint "$constraints" "$wheel"
+  bash "$source/tools/install.sh" "$work/core/bin/python" --quiet --constraint "$constraints" "$wheel"
   "$work/core/bin/python" -c 'import realsim; assert "site-packages" in realsim.__file__, realsim.__file__'
   "$work/core/bin/realsim" --help >/dev/null
   "$work/core/bin/python" examples/03_diagnose.py
