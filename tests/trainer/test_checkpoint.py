@@ -185,6 +185,19 @@ def test_onnx_without_metadata_or_cut_off_is_refused(exported: bytes, tmp_path: 
         export.load(path)
 
 
+def test_a_network_that_fails_when_it_runs_is_refused_when_it_is_read(exported: bytes, tmp_path: Path) -> None:
+    import onnx
+
+    path = tmp_path / "a.onnx"
+    model = onnx.load_model_from_string(exported)
+    bias = next(t for t in model.graph.initializer if len(t.dims) == 1 and t.dims[0] > 1)
+    bias.CopyFrom(onnx.numpy_helper.from_array(onnx.numpy_helper.to_array(bias)[:-1], bias.name))
+    path.write_bytes(model.SerializeToString())
+    with pytest.raises(RealsimError) as refused:
+        export.load(path)
+    assert refused.value.file == str(path)
+
+
 def test_a_layout_that_differs_names_the_term() -> None:
     wide = replace(LAYOUT, actor=(("position", 1), ("velocity", 2)))
     with pytest.raises(RealsimError, match="velocity"):

@@ -16,6 +16,7 @@ from trainer.deploy.observer import Observer
 from trainer.deploy.robot import Reading, Robot
 from trainer.errors import TrainerError
 from trainer.ppo.export import Deployment
+from trainer.ppo.metadata import check_network
 
 if TYPE_CHECKING:
     from trainer.deploy.log import CaseLog
@@ -93,7 +94,7 @@ def deploy(
     scale, default = np.asarray(facts.action_scale), np.asarray(facts.default)
     action = np.zeros(len(default), np.float32)
     report = Report()
-    _warm_up(session, facts)  # the first call allocates, and may fail: not while the robot waits
+    check_network(session, facts.layout)  # the first call allocates, and may fail: not while the robot waits
     try:  # from here on the robot may hold gains of ours, also where `start` itself fails half way
         robot.start(np.asarray(facts.kp), np.asarray(facts.kd))
         began = due = clock()
@@ -163,25 +164,3 @@ def _not_a_number(reading: Reading) -> str | None:
 
 def _speed(config: DeployConfig, seconds: float) -> float:
     return config.speed * (min(1.0, seconds / config.ramp) if config.ramp else 1.0)
-
-
-def _warm_up(session: Any, facts: Deployment) -> None:
-    """Run the policy once on zeros. Raises TrainerError where it fails, or gives another number of actions."""
-    inputs = {"vector": np.zeros((1, facts.layout.actor_width), np.float32)}
-    if facts.layout.depth is not None:
-        inputs["depth"] = np.ones((1, *facts.layout.depth), np.float32)
-    joints = len(facts.layout.actions)
-    try:
-        shape = np.shape(session.run(None, inputs)[0])
-    except Exception as error:  # onnxruntime's own exception classes share no base but this
-        raise TrainerError(
-            "the policy cannot be run: its network is damaged",
-            expected=f"{joints} actions for an observation of zeros",
-            found=str(error).partition("\n")[0],
-            hint="export it again; the robot has not been started",
-        ) from error
-    if shape != (1, joints):
-        raise TrainerError(
-            "the policy gives another number of actions than its metadata say", expected=f"{(1, joints)}",
-            found=f"{shape}",
-        )  # fmt: skip

@@ -21,7 +21,7 @@ from realsim.core.files import write_bytes
 from realsim.core.onnx_file import open_network
 from trainer.errors import TrainerError
 from trainer.ppo.config import NetworkConfig
-from trainer.ppo.metadata import check_graph, read_metadata
+from trainer.ppo.metadata import check_graph, check_network, read_metadata
 from trainer.ppo.networks import Critic
 from trainer.ppo.policy import Policy
 from trainer.robots import TrainedRobot
@@ -117,7 +117,7 @@ def load(path: Path) -> tuple[Any, Deployment]:
 
     Raises:
         TrainerError: not ONNX, cut off, not exported by `export`, of another version, or with metadata that do not fit
-            each other or the network.
+            each other or the network; or a network that fails on zeros.
     """
     try:
         runtime = open_network(path)
@@ -136,6 +136,7 @@ def load(path: Path) -> tuple[Any, Deployment]:
         )
     layout, rest = read_metadata(meta[KEY], VERSION, path)
     check_graph(runtime, layout, path)
+    check_network(runtime, layout, path)
     return runtime, Deployment(layout, **rest)
 
 

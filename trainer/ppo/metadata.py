@@ -7,6 +7,8 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from realsim.core.errors import did_you_mean
 from trainer.errors import TrainerError
 from trainer.tasks import ObservationLayout
@@ -116,6 +118,31 @@ def check_graph(runtime: Any, layout: ObservationLayout, path: Path) -> None:
                 found=_short(", ".join(f"{name} {shape} {kind}" for name, (kind, shape) in found.items())),
                 hint="export the policy again",
             )
+
+
+def check_network(runtime: Any, layout: ObservationLayout, path: Path | None = None) -> None:
+    """The network runs: an observation of zeros gives one action a joint.
+
+    Raises:
+        TrainerError: it fails, as networks with a damaged tensor do only now, or gives another number of actions.
+    """
+    inputs = {"vector": np.zeros((1, layout.actor_width), np.float32)}
+    if layout.depth is not None:
+        inputs["depth"] = np.ones((1, *layout.depth), np.float32)
+    expected = f"{len(layout.actions)} actions for an observation of zeros"
+    try:
+        shape = np.shape(runtime.run(None, inputs)[0])
+    except Exception as error:  # onnxruntime's own exception classes share no base but this
+        raise TrainerError(
+            "the policy cannot be run: its network is damaged",
+            file=path,
+            expected=expected,
+            found=str(error).partition("\n")[0],
+            hint="export it again",
+        ) from error
+    if shape != (1, len(layout.actions)):
+        message = "the policy gives another number of actions than its metadata say"
+        raise TrainerError(message, file=path, expected=expected, found=f"{shape}", hint="export it again")
 
 
 def _layout(raw: Any, refuse: Any) -> ObservationLayout:
