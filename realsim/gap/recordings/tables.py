@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -51,6 +52,22 @@ def table(path: Path, name: str, columns: Mapping[str, F64], *, window: Window =
     keep = in_window(seconds_of(first, clocks[first])[0], window)
     kept = {n: replace(f, values=f.values[keep]) for n, f in fields.items()}
     return Stream(name, "table", {n: v[keep] for n, v in clocks.items()}, kept)
+
+
+def as_long_as_most(arrays: Mapping[str, F64]) -> dict[str, F64]:
+    """Of arrays (T,), (T, K) or (K, T), whatever lies beside them, those of as many samples as most, as columns.
+
+    Samples are the longest side that half of the arrays share. Groups that all names begin with are left out of them.
+    """
+    flat = {n: v for n, v in arrays.items() if v.ndim in (1, 2) and max(v.shape, default=0) > 1}
+    sides = Counter(n for v in flat.values() for n in {*v.shape} if n > 1)
+    length = max((n for n in sides if 2 * sides[n] >= len(flat)), default=max(sides, key=lambda n: sides[n], default=0))
+    turned = {n: v if len(v) == length else v.T for n, v in flat.items()}
+    columns = {n: v[:, 0] if v.shape[1:] == (1,) else v for n, v in turned.items() if len(v) == length}
+    parts = [n.split(".") for n in columns]
+    depths = range(min(map(len, parts), default=1) - 1)
+    shared = next((k for k in depths if len({p[k] for p in parts}) > 1), len(depths))
+    return {".".join(p[shared:]): v for p, v in zip(parts, columns.values(), strict=True)}
 
 
 def rises_evenly(values: F64) -> bool:

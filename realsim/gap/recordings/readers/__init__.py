@@ -16,6 +16,8 @@ READERS = Registry(
         "crazyflie": "realsim.gap.recordings.readers.crazyflie:READER",
         "json": "realsim.gap.recordings.readers.jsonfile:READER",
         "npz": "realsim.gap.recordings.readers.npz:READER",
+        "hdf5": "realsim.gap.recordings.readers.hdf5:READER",
+        "matlab": "realsim.gap.recordings.readers.matlab:READER",
         "torch": "realsim.gap.recordings.readers.torchfile:READER",
         "csv": "realsim.gap.recordings.readers.csvfile:READER",
     },

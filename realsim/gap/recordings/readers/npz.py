@@ -20,7 +20,7 @@ from realsim.gap.recordings.recording import (
     no_samples,
     refuse_more,
 )
-from realsim.gap.recordings.tables import table
+from realsim.gap.recordings.tables import as_long_as_most, table
 
 NAMES = ("cols", "columns", "names", "header")
 
@@ -33,7 +33,7 @@ def read(path: Path, window: Window) -> list[Recording]:
     for name, text in texts.items():
         if text.ndim == 0:
             facts |= _said(name, str(text))
-    columns = _table(numbers, texts) or _arrays(numbers)
+    columns = _table(numbers, texts) or as_long_as_most(numbers)
     if not columns:
         raise no_samples(path, "arrays with a row a sample", {n: str(v.shape) for n, v in arrays.items()})
     refuse_more(path, sum(v.size for v in columns.values()))
@@ -55,15 +55,6 @@ def _table(numbers: dict[str, F64], texts: dict[str, Any]) -> dict[str, F64]:
             if values.ndim == 2 and values.shape[1] == len(header):
                 return {str(h): values[:, i] for i, h in enumerate(header)}
     return {}
-
-
-def _arrays(numbers: dict[str, F64]) -> dict[str, F64]:
-    """The arrays that have as many rows as most have, or as the clock has."""
-    lengths = [len(v) for v in numbers.values() if v.ndim in (1, 2) and len(v) > 1]
-    if not lengths:
-        return {}
-    length = max(set(lengths), key=lambda n: (lengths.count(n), n))
-    return {n: v for n, v in numbers.items() if v.ndim in (1, 2) and len(v) == length}
 
 
 def _said(name: str, text: str) -> dict[str, Any]:

@@ -12,7 +12,7 @@ import numpy as np
 from realsim.core.errors import GapError, extra
 from realsim.core.files import archive_damage, check_size
 from realsim.gap.recordings.recording import Reader, Recording, Window, has_suffix, no_samples, readable, refuse_more
-from realsim.gap.recordings.tables import table
+from realsim.gap.recordings.tables import as_long_as_most, table
 
 
 def read(path: Path, window: Window) -> list[Recording]:
@@ -25,8 +25,7 @@ def read(path: Path, window: Window) -> list[Recording]:
     if not isinstance(value, dict):
         raise no_samples(path, "a dictionary of tensors")
     arrays = {str(k): np.asarray(v, dtype=np.float64) for k, v in value.items() if torch.is_tensor(v)}
-    length = max((len(v) for v in arrays.values() if v.ndim in (1, 2)), default=0)
-    columns = {n: v for n, v in arrays.items() if v.ndim in (1, 2) and len(v) == length > 1}
+    columns = as_long_as_most(arrays)
     if not columns:
         raise no_samples(path, "tensors with a row a sample", {n: str(v.shape) for n, v in arrays.items()})
     refuse_more(path, sum(v.size for v in columns.values()))
