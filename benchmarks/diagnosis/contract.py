@@ -57,14 +57,18 @@ SCALES = {"base_ang_vel": 0.2, "gravity": 1.0, "steering_command": 1.0, "joint_p
 MOST_TRIES = 20
 
 
+def unchanged(values: np.ndarray) -> np.ndarray:
+    return values
+
+
 @dataclass
 class Wrong:
     """Where a mistake is made."""
 
     see: Callable[[Reading, np.ndarray], Reading] = lambda reading, quat: reading
-    send: Callable[[np.ndarray], np.ndarray] = lambda targets: targets
+    send: Callable[[np.ndarray], np.ndarray] = unchanged
     facts: Callable[[export.Deployment], export.Deployment] = lambda facts: facts
-    vector: Callable[[np.ndarray], np.ndarray] = lambda vector: vector
+    vector: Callable[[np.ndarray], np.ndarray] = unchanged
     steer: Callable[[np.ndarray], np.ndarray] = lambda told: told
     gains: np.ndarray = field(default_factory=lambda: np.ones(12))
     faster: int = 1
@@ -75,6 +79,9 @@ class Wrong:
     """Field of a reading -> policy steps by which it is old."""
     stale: Callable[[int], bool] = lambda step: False
     """Whether a step's reading is the one before."""
+    shows: bool = False
+    """Whether `send` or `vector` changed anything so far. A command that is never given cannot be seen turned: such a
+    draw is no case."""
 
 
 @dataclass
@@ -109,6 +116,7 @@ class LoggedRobot(MujocoRobot):
 
     def write(self, targets: np.ndarray) -> None:
         sent = self.wrong.send(targets)
+        self.wrong.shows |= self.wrong.send is not unchanged and bool((sent != targets).any())
         for repeat in range(self.wrong.every):
             state = self.physics.state
             reading, quat = (MujocoRobot.read(self), state.base_quat[0].double().numpy()) if repeat else self.now
@@ -123,12 +131,14 @@ class LoggedRobot(MujocoRobot):
 class WrongSession:
     """The network behind inputs that were put together wrongly."""
 
-    def __init__(self, session: Any, change: Callable[[np.ndarray], np.ndarray], scale: np.ndarray | float) -> None:
-        self.session, self.change, self.scale = session, change, scale
+    def __init__(self, session: Any, wrong: Wrong, scale: np.ndarray | float) -> None:
+        self.session, self.wrong, self.scale = session, wrong, scale
 
     def run(self, names: Any, inputs: dict[str, np.ndarray]) -> Any:
-        vector = self.change(inputs["vector"] * self.scale).astype(np.float32)
-        return self.session.run(names, inputs | {"vector": vector})
+        right = inputs["vector"] * self.scale
+        vector = self.wrong.vector(right)
+        self.wrong.shows |= self.wrong.vector is not unchanged and bool((vector != right).any())
+        return self.session.run(names, inputs | {"vector": vector.astype(np.float32)})
 
 
 # ---------------------------------------------------------------- the policy
@@ -434,7 +444,7 @@ def record(path: Path, policy: str, facts: export.Deployment, wrong: Wrong, seed
             robot.told = held[len(robot.past) // 15 % len(held)]
             return robot.told
 
-        deploy(robot, WrongSession(session, wrong.vector, scale), wrong.facts(facts), config, steer=steer)
+        deploy(robot, WrongSession(session, wrong, scale), wrong.facts(facts), config, steer=steer)
         rows = robot.log.rows
         if len(rows) < LEAST:
             continue
@@ -448,14 +458,14 @@ def record(path: Path, policy: str, facts: export.Deployment, wrong: Wrong, seed
         quat = data["quat"] / np.linalg.norm(data["quat"], axis=1, keepdims=True)
         runs.append(Run(f"run{number}", np.sort(stamps), data["command"], data["pos"], data["vel"], data["gyro"], quat,
                         data["told"], moved, data["torque"], frames=data.get("frames")))  # fmt: skip
-    if not runs:
+    if not runs or ((wrong.send is not unchanged or wrong.vector is not unchanged) and not wrong.shows):
         return Steps((), (), 0.02, 0.02)
     changes = float(np.median([np.median(np.diff(r.time[r.sent])) for r in runs]))
     return Steps(tuple(base.joints), tuple(runs), 0.02 / wrong.faster, changes)
 
 
 def judge(policy: str, kind: str, seed: int) -> dict[str, Any] | None:
-    """One row; None where the robot falls at once and leaves no log."""
+    """One row; None where the robot falls at once and leaves no log, or nothing of the mistake is in it."""
     with tempfile.TemporaryDirectory() as folder:
         path, deploy_yaml, facts = write_policy(Path(folder), policy, seed)
         loop_path = path if policy != "mjlab" else Path(folder) / "policy.onnx"
@@ -479,7 +489,7 @@ def judge(policy: str, kind: str, seed: int) -> dict[str, Any] | None:
 
 
 def stood(task: tuple[str, str, int]) -> dict[str, Any]:
-    """The row of the first of MOST_TRIES seeds whose robot leaves a log; one that falls at once leaves none."""
+    """The row of the first of MOST_TRIES seeds that makes a case; see `judge`."""
     policy, kind, seed = task
     torch.set_num_threads(1)
     for tried in range(MOST_TRIES):

@@ -11,6 +11,7 @@ import numpy as np
 from realsim.core.errors import GapError
 from realsim.gap.checks.contract.loop import Loop, targets
 from realsim.gap.checks.contract.policy import Contract
+from realsim.gap.checks.contract.proposals import AGES
 from realsim.gap.checks.contract.search import Problem, Trial, search
 from realsim.gap.checks.contract.servo import check_gains
 from realsim.gap.checks.contract.settings import setting
@@ -70,13 +71,16 @@ def check(contract: Contract, steps: Steps) -> Found:
             "record a run in which the policy walks."
         )
         return Found("still", text, (), left, left, tuple(notes))
-    start, problem.open = _blank(problem, notes)
+    problem = _blank(problem, notes)
+    start = Loop()
     right = problem.left(start)
     loop, taken = search(problem, start)
     after, noise = problem.left(loop), max(KEPT, problem.open)
     explained = after <= noise or after < 0.3 * right
     errors = _errors(problem, start, taken, notes) + _outside(contract, problem.steps, steps, explained)
     verdict, sentence = _worded(errors, right, after, explained, noise)
+    if verdict == "kept" and (never := _never_commanded(problem)):
+        sentence += f" It was never commanded {' or '.join(never)}: whether these reach it is not checked."
     return Found(verdict, sentence, () if verdict == "kept" else tuple(errors), right, after, tuple(notes))
 
 
@@ -99,12 +103,14 @@ def _rates(contract: Contract, steps: Steps, notes: list[str]) -> Iterator[Probl
     if short:
         notes.append(f"runs too short for the policy's history are left out: {', '.join(sorted(short)[:3])}")
     rows = ROWS if contract.camera is None else ROWS_WITH_CAMERA
-    half = max(rows // 2 + contract.memory - contract.history, least)  # images from before are no rows to judge
+    half = max(
+        rows // 2 + contract.memory - contract.history + int(AGES[-1]), least
+    )  # images from before are no rows to judge
     return (Problem(contract, liveliest(s, 2 * half, half)) for s in long if s.runs)
 
 
-def _blank(problem: Problem, notes: list[str]) -> tuple[Loop, float]:
-    """(where the search begins, the share of the spread that inputs which are not logged leave open)."""
+def _blank(problem: Problem, notes: list[str]) -> Problem:
+    """With the blank image that fits best, and the share of the spread that inputs which are not logged leave open."""
     contract, steps = problem.contract, problem.steps
     kinds = {t.kind for t in contract.terms}
     blind = [t.name for t in contract.terms if t.kind == "unknown"]
@@ -115,18 +121,29 @@ def _blank(problem: Problem, notes: list[str]) -> tuple[Loop, float]:
     if blind:
         notes.append(f"not logged, taken as zero: {', '.join(blind)}; the other terms are checked")
     if contract.camera is None or any(r.frames is not None for r in steps.runs):
-        return Loop(), BLIND if blind else 0.0
-    loops = [Loop(blank=b) for b in (1.0, 0.75, 0.5, 0.25, 0.0)]
-    best = min(loops, key=problem.left)
-    replayed = [np.concatenate(targets(contract, steps, loop)) for loop in loops]
-    here = replayed[loops.index(best)]
+        problem.open = BLIND if blind else 0.0
+        return problem
+    tried = [Problem(contract, steps, blank) for blank in (1.0, 0.75, 0.5, 0.25, 0.0)]
+    best = min(tried, key=lambda p: p.left(Loop()))
+    replayed = [np.concatenate(targets(contract, p.steps, Loop())) for p in tried]
+    here = replayed[tried.index(best)]
     typical = np.median([np.sqrt(np.mean((r - here) ** 2)) for r in replayed])
     apart = float(typical / np.sqrt(np.mean(problem.spread**2)))
     notes.append(
         f"the camera is checked by no frame: a blank image stands for it, which leaves about {apart:.0%} of the "
         "targets' spread open; the other terms are checked"
     )
-    return best, min(apart, 0.7)
+    best.open = min(apart, 0.7)
+    return best
+
+
+def _never_commanded(problem: Problem) -> list[str]:
+    """Parts of the velocity command that are zero all along a log: no mistake in them leaves a trace."""
+    told = [r.told for r in problem.steps.runs if r.told is not None]
+    if not told or all(t.kind != "command" for t in problem.contract.terms):
+        return []
+    most = np.abs(np.concatenate(told)).max(axis=0)
+    return [word for word, value in zip(("ahead", "left", "to turn"), most, strict=True) if value == 0]
 
 
 def _errors(problem: Problem, start: Loop, taken: list[Trial], notes: list[str]) -> list[dict[str, Any]]:

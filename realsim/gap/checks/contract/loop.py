@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from realsim.core.types import F64, Bool
-from realsim.gap.checks.contract.policy import Camera, Contract, Term
+from realsim.gap.checks.contract.policy import Camera, Contract, Seen, Term
 from realsim.gap.checks.contract.steps import Run, Steps, turn
 
 SENSORS = ("ang_vel", "gravity", "lin_vel", "joint_pos", "joint_vel")
@@ -62,8 +62,6 @@ class Loop:
     """Whether the policy is shown its own last actions, of which such limits leave less in the log."""
     stale: tuple[F64, ...] | None = None
     """Of every run (K,) policy steps by which all sensors are older in a row."""
-    blank: float = 1.0
-    """What a depth image that is not logged shows, 0 near to 1 far."""
 
     def with_entries(self, field: str, entries: Mapping[str, Any]) -> Loop:
         """With entries added to one of its maps."""
@@ -100,17 +98,16 @@ def _of_run(contract: Contract, steps: Steps, which: int, loop: Loop) -> F64:
     order = [steps.joints.index(j) for j in contract.joints]
     sent = run.command[:, order]
     action = actions(contract, sent if loop.order is None else sent[:, np.argsort(loop.order)], loop)
-    depth = None if contract.camera is None else _images(contract.camera, run, loop)
     cut = _cut(sent, action, loop)
     for _ in range(REPLAYS if loop.unaware else 0):  # each carries what was cut off one step on
-        own = contract.run(_vector(_parts(contract, steps, which, loop, action), loop), depth)
+        own = contract.run(_vector(_parts(contract, steps, which, loop, action), loop), run.seen)
         before, action = action, np.where(cut, own, action)
         if np.sqrt(np.mean((action - before) ** 2)) < SETTLED:
             break
     parts = _parts(contract, steps, which, loop, action)
     if run.told is None and any(t.kind == "command" for t in contract.terms):
-        return _with_unknown(contract, sent, parts, depth, loop, "command")
-    return _targets(contract, sent, parts, depth, loop)
+        return _with_unknown(contract, sent, parts, run.seen, loop, "command")
+    return _targets(contract, sent, parts, run.seen, loop)
 
 
 def _cut(sent: F64, action: F64, loop: Loop) -> Bool:
@@ -144,8 +141,8 @@ def _parts(contract: Contract, steps: Steps, which: int, loop: Loop, action: F64
     return parts
 
 
-def _targets(contract: Contract, sent: F64, parts: Sequence[F64], depth: F64 | None, loop: Loop) -> F64:
-    action = contract.run(_vector(parts, loop), depth)
+def _targets(contract: Contract, sent: F64, parts: Sequence[F64], seen: Seen, loop: Loop) -> F64:
+    action = contract.run(_vector(parts, loop), seen)
     limit = loop.clip if loop.clip is not None else contract.clip
     if limit is not None:
         action = np.clip(action, -limit, limit)
@@ -213,18 +210,30 @@ def _vector(parts: Sequence[F64], loop: Loop) -> F64:
     return np.concatenate([r.reshape(len(r), -1) for r in parts], axis=1)
 
 
-def _images(camera: Camera, run: Run, loop: Loop) -> F64:
+def looking(contract: Contract, steps: Steps, blank: float = 1.0) -> Steps:
+    """The steps with what the network makes of their depth images, which no change of a loop touches.
+
+    Args:
+        blank: what an image that is not logged shows, 0 near to 1 far.
+    """
+    camera = contract.camera
+    if camera is None:
+        return steps
+    return steps.each(lambda run: replace(run, seen=contract.see(_images(camera, run, blank))))
+
+
+def _images(camera: Camera, run: Run, blank: float) -> F64:
     """(K, M, H, W) what the network is shown: newest first; a blank where nothing is logged."""
     if run.frames is None:
-        return np.full((len(run.time), *camera.shape), loop.blank)
-    seen = np.isfinite(run.frames) & (run.frames > 0)
+        return np.full((len(run.time), *camera.shape), blank)
     near, far = camera.near, camera.far
-    image = np.where(seen, np.clip((np.nan_to_num(run.frames) - near) / (far - near), 0, 1), 1.0)
+    measured = np.isfinite(run.frames) & (run.frames > 0)
+    image = np.where(measured, np.clip((np.nan_to_num(run.frames) - near) / (far - near), 0, 1), 1.0)
     back = np.arange(camera.shape[0]) * camera.stride
     return image[np.clip(np.arange(len(image))[:, None] - back[None], 0, None)]
 
 
-def _with_unknown(contract: Contract, sent: F64, parts: Sequence[F64], depth: F64 | None, loop: Loop, kind: str) -> F64:
+def _with_unknown(contract: Contract, sent: F64, parts: Sequence[F64], seen: Seen, loop: Loop, kind: str) -> F64:
     """The targets with an input that is not logged as it explains them best: one value for each window.
 
     Two Gauss-Newton steps with slopes by row; a window has many times more targets than unknowns.
@@ -237,7 +246,7 @@ def _with_unknown(contract: Contract, sent: F64, parts: Sequence[F64], depth: F6
     def given(per_row: F64) -> F64:
         shown = list(parts)
         shown[which] = _history(per_row * term.scale, term, loop)
-        return _targets(contract, sent, shown, depth, loop)
+        return _targets(contract, sent, shown, seen, loop)
 
     for _ in range(2):
         here = given(value[windows])

@@ -44,6 +44,8 @@ class Family:
     """The neutral value first, from which slopes are taken, if it has parameters."""
     step: float = 0.02
     """Of a parameter, over which slopes are taken: networks run in single precision."""
+    read: int = 0
+    """Figures of it that are read from the log, beside its parameters."""
 
     @property
     def size(self) -> int:
@@ -64,9 +66,9 @@ def single(kind: str, text: str, change: Callable[[Loop], Loop]) -> Family:
     return Family(lambda loop, _: change(loop), lambda _: (kind, text))
 
 
-def _set(kind: str, text: str, **fields: object) -> Family:
+def _set(kind: str, text: str, read: int = 0, **fields: object) -> Family:
     """A change of some of the loop's fields."""
-    return single(kind, text, lambda loop: replace(loop, **fields))  # type: ignore[arg-type]
+    return replace(single(kind, text, lambda loop: replace(loop, **fields)), read=read)  # type: ignore[arg-type]
 
 
 def _from(*first: float) -> tuple[F64, ...]:
@@ -378,7 +380,7 @@ def _limits(contract: Contract, steps: Steps, loop: Loop) -> Iterator[Family]:
         bounds = np.where(often, low, -np.inf), np.where(often, high, np.inf)
         text = f"targets end at limits that the contract does not have: {names}"
         for unaware in (False, True):
-            yield _set("clipped_target", text, bounds=bounds, unaware=unaware)
+            yield _set("clipped_target", text, 2 * int(often.sum()), bounds=bounds, unaware=unaware)
 
 
 def _term_orders(contract: Contract, steps: Steps, loop: Loop) -> Iterator[Family]:

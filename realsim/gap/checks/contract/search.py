@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from realsim.core.types import F64
-from realsim.gap.checks.contract.loop import Loop, commands, targets
+from realsim.gap.checks.contract.loop import Loop, commands, looking, targets
 from realsim.gap.checks.contract.policy import Contract
-from realsim.gap.checks.contract.proposals import Family, families, single
-from realsim.gap.checks.contract.steps import Steps
+from realsim.gap.checks.contract.proposals import AGES, Family, families, single
+from realsim.gap.checks.contract.steps import Run, Steps
 
 FLOOR = 0.01
 """Share of a joint's targets' spread (rms about the mean) below which differences are nobody's concern: what encoder
@@ -26,6 +26,11 @@ LEAST_SPREAD = 0.02
 NOTICED = 0.05
 """Share of a joint's spread that a mistake has to stand out of: half of what noise of a log's own sensors may leave
 under a policy that answers them strongly (`check.KEPT`)."""
+NOISE = {"pos": 5e-4, "vel": 0.02, "gyro": 0.01, "quat": 5e-4}
+"""rad, rad/s, rad/s, 1: what sensors of usual quality add to a log, and the policy did not see. A policy that answers
+it strongly leaves differences that no mistake explains."""
+STANDS_OUT = 2.0
+"""Times such differences that a mistake has to stand out of: they vary from log to log by less."""
 PRICE = 0.2
 """Nats: beyond NOTICED, a mistake must take away a third of the variance that is left in one joint at least. Less is
 what shrinkage by noise of readings and rounding of contracts to three digits reach."""
@@ -38,6 +43,8 @@ SAME = 0.01
 MOST = 6
 """Mistakes one after the other."""
 ITERATIONS = 6
+ROUNDS = 8
+"""In which each row's age is chosen beside the others'."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +60,7 @@ class Trial:
 
     @property
     def score(self) -> float:
-        return _cost(self.scales) + PER_PARAMETER * self.family.size
+        return _cost(self.scales) + PER_PARAMETER * (self.family.size + self.family.read)
 
     @property
     def kind(self) -> str:
@@ -75,20 +82,20 @@ def _cost(scales: F64) -> float:
 class Problem:
     """Residuals of one log under one policy."""
 
-    def __init__(self, contract: Contract, steps: Steps) -> None:
-        self.contract, self.steps = contract, steps
+    def __init__(self, contract: Contract, steps: Steps, blank: float = 1.0) -> None:
+        self.contract, self.steps = contract, looking(contract, steps, blank)
         self.open = 0.0
         """Share of the spread that inputs which are not logged leave open: a mistake has to stand out of it."""
-        skip = contract.memory
+        skip = contract.memory + int(AGES[-1])
         self.skip = [min(skip, max(len(r.time) - 20, 0)) for r in steps.runs]
         self.commands = commands(contract, steps)
         sent = np.concatenate([c[k:] for c, k in zip(self.commands, self.skip, strict=True)])
         self.spread = np.sqrt(np.mean((sent - sent.mean(axis=0)) ** 2, axis=0))
         self.floor = FLOOR * np.maximum(self.spread, LEAST_SPREAD)
 
-    def residual(self, loop: Loop) -> F64:
-        """(rows, J) rad, without the beginnings, where the histories are not known."""
-        replayed = targets(self.contract, self.steps, loop)
+    def residual(self, loop: Loop, steps: Steps | None = None) -> F64:
+        """(rows, J) rad, without the beginnings, where the histories are not known; `steps` are other readings."""
+        replayed = targets(self.contract, steps or self.steps, loop)
         return np.concatenate([(c - t)[k:] for c, t, k in zip(self.commands, replayed, self.skip, strict=True)])
 
     def scales(self, loop: Loop) -> F64:
@@ -98,9 +105,21 @@ class Problem:
     def scales_of(self, residual: F64) -> F64:
         return np.sqrt(np.mean(residual**2, axis=0) + self.floor**2)
 
-    def worth(self, before: F64, after: F64) -> bool:
-        """Whether scales (J,) fell by what a mistake has to explain."""
+    def noticed(self, loop: Loop) -> F64:
+        """(J,) rad that a mistake beside those of a loop has to stand out of."""
+        rng = np.random.default_rng(0)
+
+        def blurred(run: Run) -> Run:
+            return replace(
+                run, **{k: getattr(run, k) + rng.normal(0, s, getattr(run, k).shape) for k, s in NOISE.items()}
+            )
+
+        by_noise = self.residual(loop) - self.residual(loop, self.steps.each(blurred))
         floor = max(NOTICED, self.open) * np.maximum(self.spread, LEAST_SPREAD)
+        return np.maximum(floor, STANDS_OUT * np.sqrt(np.mean(by_noise**2, axis=0)))
+
+    def worth(self, before: F64, after: F64, floor: F64) -> bool:
+        """Whether scales (J,) fell by what a mistake has to explain; `floor` is `noticed` before it."""
         gain = np.log(np.hypot(before, floor) / np.hypot(after, floor))
         return bool(np.max(gain) > PRICE and _cost(after) < _cost(before))
 
@@ -114,30 +133,33 @@ def search(problem: Problem, loop: Loop) -> tuple[Loop, list[Trial]]:
     """(the loop that explains the log, the mistakes in it, the largest first)."""
     start, taken = loop, list[Trial]()
     while len(taken) < MOST:
-        here = problem.scales(loop)
-        best = _chosen(problem, here, list(_tried(problem, loop, here)))
+        here, floor = problem.scales(loop), problem.noticed(loop)
+        if not problem.worth(here, problem.floor, floor):  # whatever a mistake would explain
+            break
+        best = _chosen(problem, here, floor, list(_tried(problem, loop, here)))
         if best is None:
             break
         taken = _settled(problem, start, [*taken, best])
         loop = _applied(start, taken)
     for which in range(len(taken) - 2, -1, -1):  # without those that the later ones make needless
         fewer = [t for k, t in enumerate(taken) if k != which]
-        if not problem.worth(*(problem.scales(_applied(start, trials)) for trials in (fewer, taken))):
+        before = _applied(start, fewer)
+        if not problem.worth(problem.scales(before), problem.scales(_applied(start, taken)), problem.noticed(before)):
             taken = fewer
     return _applied(start, taken), taken
 
 
-def _chosen(problem: Problem, here: F64, tried: list[Trial]) -> Trial | None:
-    """The best of what is worth its price beside the scales `here` (J,), with its rivals.
+def _chosen(problem: Problem, here: F64, floor: F64, tried: list[Trial]) -> Trial | None:
+    """The best of what is worth its price beside the scales `here` (J,) and `noticed` (J,), with its rivals.
 
     The same change comes in several words (minus one as a scale, and as three axes turned round): the one with the
     fewest parameters is taken, and the others are no rivals.
     """
-    tried = [t for t in tried if problem.worth(here, t.scales)]
+    tried = [t for t in tried if problem.worth(here, t.scales, floor)]
     if not tried:
         return None
     least = min(tried, key=lambda t: t.score)
-    best = min((t for t in tried if _same(t, least)), key=lambda t: t.family.size)
+    best = min((t for t in tried if _same(t, least)), key=lambda t: t.family.size + t.family.read)
     near = sorted((t for t in tried if t.score < least.score + TIE and not _same(t, least)), key=lambda t: -t.score)
     rivals = {t.kind: t for t in near if t.kind != best.kind}
     return replace(best, rivals=tuple(rivals.values()))
@@ -152,9 +174,10 @@ def _settled(problem: Problem, start: Loop, taken: list[Trial]) -> list[Trial]:
     first was fitted to what came later too."""
     for k in range(len(taken) - 1):
         before, later = _applied(start, taken[:k]), taken[k + 1 :]
-        here = problem.scales(_applied(before, later))
+        without = _applied(before, later)
+        here = problem.scales(without)
         again = [_beside(problem, before, later, t, _cost(here)) for t in (taken[k], *taken[k].rivals)]
-        best = _chosen(problem, here, [t for t in again if t is not None])
+        best = _chosen(problem, here, problem.noticed(without), [t for t in again if t is not None])
         if best is not None:
             taken = [*taken[:k], best, *later]
     return taken
@@ -232,26 +255,30 @@ def _irregular(problem: Problem, loop: Loop) -> Iterator[Trial]:
         return
     history = problem.contract.history
     pattern = [np.zeros(len(r.time)) for r in problem.steps.runs]
-    spans = np.cumsum([0, *(len(p) - k for p, k in zip(pattern, problem.skip, strict=True))])
     scales = problem.scales(loop)
 
-    def costs(stale: list[F64]) -> F64:
+    def costs(stale: list[F64]) -> list[F64]:
+        """Of every row, what it and those that still show its reading cost: rows a history apart do not meet."""
         r = problem.residual(replace(loop, stale=tuple(stale)))
-        return 0.5 * np.sum((r / scales) ** 2, axis=1)
+        found, rows = [], 0.5 * np.sum((r / scales) ** 2, axis=1)
+        for run, skip in zip(stale, problem.skip, strict=True):
+            own, rows = rows[: len(run) - skip], rows[len(run) - skip :]
+            found.append(np.convolve(np.concatenate([np.zeros(skip), own]), np.ones(history))[history - 1 :])
+        return found
 
-    for _ in range(3):
+    for _ in range(ROUNDS):
+        before = [p.copy() for p in pattern]
         for phase in range(history):
+            turn = [np.arange(len(p)) % history == phase for p in pattern]
             now = costs(pattern)
             for age in (0.0, 1.0, 2.0):
-                other = [np.where(np.arange(len(p)) % history == phase, age, p) for p in pattern]
-                better = costs(other) + np.log(3.0) < now
-                for k, p in enumerate(pattern):
-                    rows = np.zeros(len(p), bool)
-                    rows[problem.skip[k] :] = better[spans[k] : spans[k + 1]]
-                    rows &= np.arange(len(p)) % history == phase
-                    p[rows] = age
-                now = costs(pattern)
+                there = costs([np.where(t, age, p) for p, t in zip(pattern, turn, strict=True)])
+                for p, t, new, old in zip(pattern, turn, there, now, strict=True):
+                    better = t & (new + np.log(3.0) < old)
+                    p[better], old[better] = age, new[better]
         scales = problem.scales(replace(loop, stale=tuple(pattern)))
+        if all(map(np.array_equal, before, pattern)):
+            break
     share = float(np.mean(np.concatenate(pattern) > 0))
     if 0.02 < share < 0.9:
         found = tuple(pattern)

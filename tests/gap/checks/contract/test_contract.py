@@ -44,7 +44,8 @@ def loop(
     newest_first: bool = False,
     late: int = 0,
     gain: float | np.ndarray = 1.0,
-    noise: float = 1e-3,
+    told: float | np.ndarray = 1.0,
+    noise: float | tuple[float, float, float] = 1e-3,
 ) -> Steps:
     """A loop of its own over made-up readings, step by step, with a mistake in it."""
     rng = np.random.default_rng(1)
@@ -57,7 +58,7 @@ def loop(
     tilt = waves(3, 0.2)
     quat = np.concatenate([np.ones((count, 1)), tilt], axis=1)
     quat /= np.linalg.norm(quat, axis=1, keepdims=True)
-    told = np.repeat(rng.uniform(-1, 1, (count // 30, 3)), 30, axis=0)
+    asked = told * np.repeat(rng.uniform(-1, 1, (count // 30, 3)), 30, axis=0)
     w, x, y, z = quat.T
     down = -np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x**2 + y**2)], axis=1)
     past: dict[str, list[np.ndarray]] = {k: [] for k in WIDTHS}
@@ -65,18 +66,20 @@ def loop(
     for k in range(count):
         old = max(k - late, 0)
         place, speed = see(pos[old]) - contract.default, see_vel(vel[old])
-        now = {"ang_vel": gyro[old], "gravity": gravity * down[old], "command": told[k],
+        now = {"ang_vel": gyro[old], "gravity": gravity * down[old], "command": asked[k],
                "joint_pos": place, "joint_vel": speed, "last_action": action}  # fmt: skip
         vector = []
-        for kind, value in now.items():
+        for term in contract.terms:
+            kind, value = term.kind, now[term.kind] * term.scale
             past[kind] = [value] * HISTORY if not past[kind] else [*past[kind][1:], value]
             vector += past[kind][::-1] if newest_first else past[kind]
         action = contract.run(np.concatenate(vector)[None], None)[0]
         sent.append(send(contract.default + gain * contract.scale * action))
     command = np.array(sent)
     moved = np.ones(count, bool)
-    noisy = [v + rng.normal(0, noise, v.shape) for v in (pos, vel, gyro)]
-    return Steps(JOINTS, (Run("run", t[:, 0], command, *noisy, quat, told, moved),), 0.02, 0.02)
+    sizes = np.broadcast_to(noise, 3)
+    noisy = [v + rng.normal(0, size, v.shape) for v, size in zip((pos, vel, gyro), sizes, strict=True)]
+    return Steps(JOINTS, (Run("run", t[:, 0], command, *noisy, quat, asked, moved),), 0.02, 0.02)
 
 
 def test_a_policy_that_is_run_rightly_is_no_error() -> None:
@@ -122,6 +125,22 @@ def test_mistakes_are_named_one_after_the_other(kinds: set[str], mistake: dict[s
     assert {e["kind"] for e in found.errors} == kinds
     assert found.left > 2 * found.after
     assert all(e["setting"] for e in found.errors)
+
+
+def test_what_noise_of_the_logs_sensors_explains_is_no_second_mistake() -> None:
+    contract = make_contract()
+    terms = tuple(replace(t, scale=12.0) if t.kind == "joint_vel" else t for t in contract.terms)
+    steps = loop(replace(contract, terms=terms), gravity=-1.0, noise=(5e-4, 0.02, 0.01))
+    found = check(replace(contract, terms=terms), steps)
+    assert [e["kind"] for e in found.errors] == ["gravity_frame"]
+
+
+def test_a_command_that_is_never_given_is_not_checked() -> None:
+    contract = make_contract()
+    assert "never commanded" not in check(contract, loop(contract)).sentence
+    found = check(contract, loop(contract, told=np.array([1.0, 0.0, 0.0])))
+    assert found.verdict == "kept"
+    assert "never commanded left or to turn" in found.sentence
 
 
 def test_the_period_is_the_logs() -> None:
