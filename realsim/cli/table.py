@@ -94,6 +94,9 @@ def commands() -> dict[str, Command]:
     a module of its own; that is all of it that is imported here. A function without a declaration is a command too.
     """
     added = {point.name: point.value for point in entry_points(group="realsim.commands")}
+    for value in list(added.values()):  # an installation may be older than the checkout that it points to
+        for name in _declarations(value):
+            added.setdefault(name, f"{_package(value)}.{name}:{name}")
     declared = {name: _declared(name, value) for name, value in added.items() if name not in COMMANDS}
     # In the order in which a package declares them.
     order = [name for value in added.values() for name in _declarations(value) if name in declared]
@@ -118,6 +121,11 @@ def _declared(name: str, function: str) -> Command:
 
 @cache
 def _declarations(function: str) -> Mapping[str, Command]:
-    module = function.partition(":")[0]
-    found: Mapping[str, Command] = getattr(import_module(module.rpartition(".")[0] or module), "COMMANDS", {})
+    found: Mapping[str, Command] = getattr(import_module(_package(function)), "COMMANDS", {})
     return found
+
+
+def _package(function: str) -> str:
+    """Where the command of an entry point is declared."""
+    module = function.partition(":")[0]
+    return module.rpartition(".")[0] or module

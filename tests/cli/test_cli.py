@@ -248,7 +248,11 @@ def run(times: int = 2) -> CommandResult:
     (tmp_path / "pack" / "__init__.py").write_text(
         "from realsim.cli.command import Command\n" + declared.replace("NAME", "packed")
     )
+    newer = '\nCOMMANDS["newer"] = Command("", "since the installation", "realsim newer", "Of my own")\n'
+    with (tmp_path / "pack" / "__init__.py").open("a") as file:
+        file.write(newer)
     (tmp_path / "pack" / "inner.py").write_text(source.replace("NAME", "packed"))
+    (tmp_path / "pack" / "newer.py").write_text(source.replace("NAME", "newer").replace("run(", "newer("))
     monkeypatch.syspath_prepend(str(tmp_path))
     named = {"alone": "lone:run", "packed": "pack.inner:run", "bare": "lone:run"}
     points = [EntryPoint(name, value, "realsim.commands") for name, value in named.items()]
@@ -258,6 +262,9 @@ def run(times: int = 2) -> CommandResult:
     assert "Of my own" in said
     assert main(["bare"]) == 0
     assert capsys.readouterr().out.split() == ["alone"] * 2
+    assert "since the installation" in said  # entry points of an installation older than its checkout
+    assert main(["newer"]) == 0
+    assert capsys.readouterr().out.split() == ["newer"] * 2
     for name in ("alone", "packed"):
         assert f"what {name} does" in said
         assert main([name, "--times", "3"]) == 0

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any
@@ -48,7 +49,8 @@ def diagnose(
         out: where diagnosis.json, report.html and the patched model go (default: diagnosis); with --init, the new case
             (default: case).
         overwrite: replace an output folder that realsim wrote before.
-        check: report within seconds whether the log can be used, and its peculiarities; nothing is written.
+        check: report within seconds whether the log can be used, its peculiarities, and with --policy whether the
+            policy was run as it was trained; nothing is written.
         init: instead of a case: an MJCF model, for which the folder of a new case is made.
         explain: instead of a case: describe an effect and what excites it (`all` lists them).
         model: of the robot, where CASE is a recording (MCAP, bag, CSV, ...): the case is written beside --out first.
@@ -77,11 +79,12 @@ def diagnose(
         refuse_recording(cases[0])
     if since is not None:
         refuse_recording(since)
+    trained = partial(_contract, policy=policy, deploy_yaml=deploy_yaml) if policy is not None else None
     if check and model is not None and len(cases) == 1:
         with TemporaryDirectory() as temporary:
-            return _checked((from_recording(cases[0], model, Path(temporary) / cases[0].stem),), config)
+            return _checked((from_recording(cases[0], model, Path(temporary) / cases[0].stem),), config, trained)
     if check:
-        return _checked(cases, config)
+        return _checked(cases, config, trained)
     out = out or Path("diagnosis")
     recordings: tuple[Path, ...] = ()
     if model is None and len(cases) > 1 and any(is_recording(path) for path in cases[1:]):
@@ -92,9 +95,9 @@ def diagnose(
             case = from_recording(cases[0], model, out.with_name(f"{out.name}_case"), overwrite)
             note(f"{cases[0]} is read as {case}; why: realsim log {cases[0]} --model {model}")
         refuse_within(out, case)
-        found = None if policy is None else _contract(case, policy, deploy_yaml)
+        found = None if trained is None else trained(case)
         if found is not None:
-            note(found.sentence)  # the answer of the policy check, minutes before the search
+            note(found.sentence)  # minutes before the search ends
         with steps() as tick:
             result = gap.run_case(
                 case, out, config, tick, overwrite=overwrite, scene=scene, recordings=recordings, since=since
@@ -104,8 +107,7 @@ def diagnose(
         if since is not None:
             text = f"{text}\nsince      {result['since']['sentence']}"
         if found is not None:
-            notes = "".join(f"note: {note}\n" for note in found.notes)
-            text, result = f"{found.sentence}\n{notes}{text}", result | {"contract": found.as_dict()}
+            text, result = "\n".join([*_policy(found), text]), result | {"contract": found.as_dict()}
         return CommandResult(text, result, strict_exit({"level": level}, strict), level)
     if since is not None or recordings:
         raise RealsimError(
@@ -115,22 +117,30 @@ def diagnose(
     return run_each("diagnose", cases, out, many, shows="sentence", levels=levels)
 
 
-def _checked(cases: tuple[Path, ...], config: DiagnoseConfig) -> CommandResult:
-    """The health of every log, or why it cannot be used; exit code 1 if one of several cannot."""
+def _checked(cases: tuple[Path, ...], config: DiagnoseConfig, trained: Callable[[Path], Found] | None) -> CommandResult:
+    """The health of every log, and of its policy's contract; or why it cannot be used: exit code 1 if one of several
+    cannot."""
+
+    def checked(case: Path) -> tuple[list[str], dict[str, Any]]:
+        found = gap.check_case(case, config)
+        lines = _health(case, found)
+        if trained is None:
+            return lines, found
+        policy = trained(case)
+        return _policy(policy) + lines, found | {"contract": policy.as_dict()}
+
     if len(cases) == 1:
-        found = gap.check_case(cases[0], config)
-        return CommandResult("\n".join(_health(cases[0], found)), found)
+        text, result = checked(cases[0])
+        return CommandResult("\n".join(text), result)
     lines: list[str] = []
     items: list[dict[str, Any]] = []
     for case in track(cases, "cases"):
         try:
-            found = gap.check_case(case, config)
+            text, result = checked(case)
         except RealsimError as error:
-            lines.append(f"{case.name}: cannot be used: {error.render()}")
-            items.append({"name": case.name, **error.as_dict()})
-        else:
-            lines += _health(case, found)
-            items.append({"name": case.name, **found})
+            text, result = [f"{case.name}: cannot be used: {error.render()}"], error.as_dict()
+        lines += text
+        items.append({"name": case.name, **result})
     failed = sum("error" in item for item in items)
     return CommandResult("\n".join(lines), {"items": items, "failed": failed}, 1 if failed else 0)
 
@@ -149,10 +159,17 @@ def _health(case: Path, found: Mapping[str, Any]) -> list[str]:
     ]
 
 
+def _policy(found: Found) -> list[str]:
+    """The answer, then what to change, each mistake on a line of its own."""
+    settings = [f"change  {e['setting']}: {e['text']}" for e in found.errors if e["setting"]]
+    return [found.sentence, *settings, *(f"note    {note}" for note in found.notes)]
+
+
 def _contract(folder: Path, policy: Path, deploy_yaml: Path | None) -> Found:
     """Whether the policy was run as it was trained; checked before the search, which takes minutes."""
     from realsim.gap.checks import contract
 
+    note(f"{policy.name} is replayed on the log of {folder}: seconds")
     case = gap.load_case(folder)
     trained = contract.load_policy(policy, deploy_yaml, case.joint_names)
     return contract.check(trained, contract.read_steps(case, trained.camera))

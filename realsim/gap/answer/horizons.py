@@ -14,13 +14,15 @@ import numpy as np
 from realsim.core.errors import GapError
 from realsim.core.statistics import interval90, resampled
 from realsim.core.types import F64
+from realsim.gap import figures
+from realsim.gap.answer.arrays import Arrays
 from realsim.gap.answer.check import Horizons
 from realsim.gap.answer.leaveout import LeftOut
+from realsim.gap.case.model.channels import Channel
 from realsim.gap.case.motion import rate_gain
 from realsim.gap.inference.causes.fitted import Fit, at
 from realsim.gap.inference.causes.leftover import is_gap
 from realsim.gap.inference.evidence.shooting import Shots, shoot
-from realsim.gap.inference.likelihood.comparison import Comparison
 from realsim.gap.inference.likelihood.screen import Screen
 from realsim.gap.simulation.simulate import Setting
 
@@ -44,8 +46,20 @@ def over_horizons(screen: Screen, fit: Fit, left: LeftOut | None, held: Sequence
         except GapError:
             continue
         for squares, shot in zip((before, after), shots, strict=True):
-            squares.append(_squares(comparison, run, shot))
+            noise, time = comparison.noise, comparison.case.runs[run].time
+            squares.append(_squares(comparison.channels, noise.sensor, noise.detail, time, shot))
     return compared(before, after, seed)
+
+
+def parts_at_once(kept: Arrays | None) -> bool | None:
+    """Whether the nominal simulator's predictions over short horizons are worse than noise in most windows of the
+    check; None where there are too few. A fall or a tumble parts from its log in a whole replay, whatever the model."""
+    if kept is None or not kept.runs:
+        return None
+    time = kept.case.runs[kept.runs[0]].time
+    squares = _squares(kept.channels, kept.sensor, kept.detail, time, kept.shots[0])
+    known = squares[np.isfinite(squares)]
+    return None if len(known) < LEAST_WINDOWS else bool(np.median(known) > figures.GATE_MEDIAN)
 
 
 def compared(before: Sequence[F64], after: Sequence[F64], seed: int) -> Horizons | None:
@@ -77,14 +91,13 @@ def _unseen(
             yield run, [s for c in at(fit.causes, values) for s in c.settings()]
 
 
-def _squares(comparison: Comparison, run: int, shots: Shots) -> F64:
-    """(W,) mean over horizons and signals."""
-    size = {(c.signal, c.label): k for k, c in enumerate(comparison.channels)}
+def _squares(channels: Sequence[Channel], sensor: F64, detail: F64, time: F64, shots: Shots) -> F64:
+    """(W,) mean over horizons and signals, in units of the noise of samples (C,), slow details (C,) and speeds."""
+    size = {(c.signal, c.label): k for k, c in enumerate(channels)}
     columns = [size[name] for name in shots.names]
-    sensor, detail = comparison.noise.sensor[columns], comparison.noise.detail[columns]
-    speed = sensor * rate_gain(comparison.case.runs[run].time)
     far = shots.seconds >= SHORTEST
-    noise = sensor**2 + detail**2 + (shots.seconds[far, None] * speed) ** 2
+    speed = sensor[columns] * rate_gain(time)
+    noise = sensor[columns] ** 2 + detail[columns] ** 2 + (shots.seconds[far, None] * speed) ** 2
     ratios = shots.errors[:, far] ** 2 / noise
     count = np.isfinite(ratios).sum(axis=(1, 2))
     return np.where(count > 0, np.nansum(ratios, axis=(1, 2)) / np.maximum(count, 1), np.nan)

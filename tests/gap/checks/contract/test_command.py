@@ -1,0 +1,91 @@
+"""`realsim diagnose --policy --check`: the policy's answer alone, on a case in files."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from realsim.cli.command_line import main
+from tests.gap.truth import ARM
+
+SCALE, DEFAULT = 0.25, np.array([0.3, -0.4])
+WEIGHTS = np.random.default_rng(0).normal(size=(3, 2)).astype(np.float32)
+
+
+def write_policy(path: Path) -> Path:
+    onnx = pytest.importorskip("onnx", reason="onnx is not installed: pip install -e '.[dev]'")
+    from onnx import TensorProto, helper, numpy_helper
+
+    graph = helper.make_graph(
+        [helper.make_node("MatMul", ["obs", "w"], ["actions"])], "p",
+        [helper.make_tensor_value_info("obs", TensorProto.FLOAT, ["n", 3])],
+        [helper.make_tensor_value_info("actions", TensorProto.FLOAT, ["n", 2])],
+        [numpy_helper.from_array(WEIGHTS, "w")],
+    )  # fmt: skip
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9)
+    meta = {"joint_names": "shoulder,elbow", "observation_names": "base_ang_vel", "action_scale": str(SCALE),
+            "default_joint_pos": "0.3,-0.4", "joint_stiffness": "150,60", "joint_damping": "8,2.6"}  # fmt: skip
+    for key, value in meta.items():
+        entry = model.metadata_props.add()
+        entry.key, entry.value = key, value
+    onnx.save(model, str(path))
+    return path
+
+
+def write_case(folder: Path, sent: float) -> Path:
+    """An arm whose policy answers a gyroscope; `sent` is the share of its actions that reaches the motors."""
+    model = mujoco.MjModel.from_xml_string(ARM)
+    (folder / "runs").mkdir(parents=True)
+    (folder / "model.xml").write_text(ARM)
+    log = {
+        "joint_names": ["shoulder", "elbow"],
+        "actuator_names": ["shoulder_servo", "elbow_servo"],
+        "command_kind": "position",
+        "base": "fixed",
+        "torque_kind": "none",
+        "imu_site": None,
+        "contact_bodies": [],
+    }
+    (folder / "log.json").write_text(json.dumps(log))
+    rng, every = np.random.default_rng(1), 5
+    for name in ("a", "b", "c"):
+        time = 0.02 * np.arange(150)
+        rate, phase = rng.uniform(1, 6, (2, 1, 3))
+        gyro = np.clip(time[:, None] - 0.3, 0, 1) * np.sin(rate * time[:, None] + phase)
+        command = DEFAULT + SCALE * sent * (gyro @ WEIGHTS)
+        data = mujoco.MjData(model)
+        data.qpos[:], data.ctrl[:] = command[0], command[0]
+        for _ in range(500):
+            mujoco.mj_step(model, data)
+        pos, vel = [], []
+        for target in command:
+            pos.append(data.qpos.copy())
+            vel.append(data.qvel.copy())
+            data.ctrl[:] = target
+            mujoco.mj_step(model, data, every)
+        np.savez(folder / "runs" / f"{name}.npz", time=time, command=command, joint_pos=pos, joint_vel=vel,
+                 imu_gyro=gyro, base_quat=np.tile([1.0, 0, 0, 0], (len(time), 1)))  # fmt: skip
+    return folder
+
+
+@pytest.mark.parametrize(("sent", "verdict"), [(1.0, "kept"), (0.5, "broken")])
+def test_the_policy_alone_is_checked_and_nothing_written(
+    sent: float, verdict: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    case, policy = write_case(tmp_path / "case", sent), write_policy(tmp_path / "policy.onnx")
+    monkeypatch.chdir(tmp_path)
+    line = ["diagnose", str(case), "--policy", str(policy), "--check"]
+    assert main([*line, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["contract"]["verdict"] == verdict
+    assert len(found["runs"]) == 3
+    assert main(line) == 0
+    text = capsys.readouterr().out
+    assert text.startswith(found["contract"]["sentence"])
+    assert ("change  scale of JointPositionActionCfg" in text) == (verdict == "broken")
+    assert {p.name for p in tmp_path.iterdir()} == {"case", "policy.onnx"}
+    assert main([*line[:-2], str(tmp_path / "none.onnx"), "--check"]) == 2
