@@ -8,7 +8,7 @@ policy.py    the contract                             formats.py    where contra
 steps.py     what the policy saw and sent             loop.py       observations -> actions -> targets, as parameters
 proposals.py what may differ, with its parameters     search.py     one score, a mistake after the other
 servo.py     gains, by the measured torque            answer.py     rates, verdict, sentence
-settings.py  the setting, in the framework's words     reading.py    a policy and its network
+settings.py  the setting, in the framework's words
 """
 
 from __future__ import annotations

@@ -23,9 +23,8 @@ WINDOW = 10
 
 REPLAYS, SETTLED, AT_LIMIT = 16, 3e-3, 1e-6
 """Rounds at most in which last actions that limits cut off are replayed, each a call of the policy; by how much (rms)
-the last one still changes them; and nearness to a limit. The second was set on one log of the
-policy with a camera (174 to 93 CPU seconds, 2.5 to 2.6 % left); of seed 7000, where it was not, clipped targets are
-named alone without a camera, twice, and with one beside stale readings that are not there."""
+the last one still changes them; and nearness to a limit. The second was set on one log of the policy with a camera
+(half the time, 2.5 to 2.6 % left)."""
 
 
 @dataclass(frozen=True)
