@@ -79,7 +79,7 @@ def test_the_policy_alone_is_checked_and_nothing_written(
     case, policy = write_case(tmp_path / "case", sent), write_policy(tmp_path / "policy.onnx")
     monkeypatch.chdir(tmp_path)
     line = ["diagnose", str(case), "--policy", str(policy), "--check"]
-    assert main([*line, "--json"]) == 0
+    assert main([*line, "--json"]) == 0, capsys.readouterr().out
     found = json.loads(capsys.readouterr().out)
     assert found["contract"]["verdict"] == verdict
     assert len(found["runs"]) == 3
