@@ -99,7 +99,7 @@ def _unfit(raw: F64) -> str:
     if not (good != 0).any() or not (steps != 0).any():
         return "it stands still"
     if (steps == 0).mean() > 0.5:
-        return "most stamps repeat the one before"
+        return "most stamps repeat the one before: a row a joint? each joint needs a column of its own"
     if (steps < 0).mean() > 0.05:
         return "it runs backwards"
     return ""

@@ -201,15 +201,19 @@ def _feet_level(e: Evidence, order: Sequence[str], values: F64) -> float | None:
 
 def _unit(ranges: F64, values: F64, declared: str) -> tuple[str, float, str]:
     """(unit, offset in it, why): what puts the joints into their ranges; what is declared unless plainly wrong."""
+    largest = float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values)))
+    whole = values[np.isfinite(values)]
+    steps = bool((whole == np.round(whole)).all()) and largest > 400
+    in_steps = f"whole numbers up to {largest:.0f}: encoder steps, {TICKS} a turn, zero in the middle"
     if not np.isfinite(ranges).all(axis=1).any():
-        largest = float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values)))
         if declared in ANGLE:
             return declared, 0.0, f"in {declared}, as is declared"
+        if steps:
+            return "ticks", TICKS / 2, in_steps
         unit = "deg" if largest > 4 * np.pi else "rad"
         return unit, 0.0, f"largest value {largest:.3g}: taken as {unit} (the model's joints have no ranges to test)"
     read = {u: values * f for u, f in ANGLE.items() if u != "mrad"}
-    whole = values[np.isfinite(values)]
-    if (whole == np.round(whole)).all() and np.nanmax(values) > 400:
+    if steps:
         read["ticks"] = (values - TICKS / 2) * 2 * np.pi / TICKS
     shares = {u: _share_within(ranges, v) for u, v in read.items()}
     # A unit that shrinks everything to nothing is in range too: of equal ones the one that fills the range wins.
@@ -218,8 +222,7 @@ def _unit(ranges: F64, values: F64, declared: str) -> tuple[str, float, str]:
     best = max(score, key=lambda u: score[u])
     unit = best if score[best] > score[usual] + CLEAR else usual
     if unit == "ticks":
-        why = f"whole numbers up to {np.nanmax(values):.0f}: encoder steps, {TICKS} a turn, zero in the middle"
-        return unit, TICKS / 2, why
+        return unit, TICKS / 2, in_steps
     why = f"in {unit}: {shares[unit]:.0%} of the samples within the joints' ranges"
     if unit != usual:
         why += f" ({usual}, as {'declared' if declared else 'usual'}, {shares[usual]:.0%})"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -250,3 +251,12 @@ def test_a_unit_that_ranges_do_not_tell_is_in_doubt(arm: Log, tmp_path: Path) ->
     path = write(tmp_path / "b.csv", "t,q1 [rev],q2 [rev],q1_cmd [rev],q2_cmd [rev]", arm.time,
                  0.5 / np.pi * arm.pos, 0.5 / np.pi * arm.command)  # fmt: skip
     check(path, tmp_path, arm)
+
+
+def test_encoder_steps_are_steps_also_where_the_model_has_no_ranges(arm: Log, tmp_path: Path) -> None:
+    target = load_target(save(tmp_path, re.sub(r' range="[^"]*" limited="true"', "", ARM)))
+    steps = [np.round(2048 + 4096 / (2 * np.pi) * values) for values in (arm.pos, arm.command)]
+    path = write(tmp_path / "a.csv", "ms,goal1,goal2,present1,present2", 1000 * arm.time, steps[1], steps[0])
+    found = propose(read(path), target)
+    run = run_arrays(found, found.recordings[0])
+    np.testing.assert_allclose(run.arrays["joint_pos"], arm.pos, atol=1e-3)
