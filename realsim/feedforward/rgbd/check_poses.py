@@ -289,24 +289,16 @@ def _reasons(c: Comparison, sensor_sigma: float) -> list[str]:
 
 def _refusal(c: Comparison, reasons: Sequence[str]) -> tuple[str, str, list[str], str] | None:
     """What is wrong with poses that cannot be used, what was expected, what was found beside the reasons, and what to
-    do: a convention, depth or colour of other frames, several places, or nothing that is known."""
-    if not reasons and c.typical <= TOLERANCE[0]:
+    do: a convention, colour of other frames, several places, or nothing that is known."""
+    if not reasons:
         return None
     # Where depth agrees with the poses as they are, it is no convention, whatever features say.
     convention = c.convention
-    if reasons and convention and c.by_depth < TOLERANCE[0] < convention[1]:
+    if convention and c.by_depth < TOLERANCE[0] < convention[1]:
         convention = None
-    if convention is None:
-        if late := explain(hypotheses.LATE, c, min(TOLERANCE[0], CLEARER * c.by_depth)):
-            moved = f"{100 * late[1]:.1f} cm with the depth images moved back, {100 * c.typical:.1f} cm as they are"
-            expected = "colour, depth and pose of one instant in each frame"
-            return late[0].name, expected, [moved], late[0].hint
-        if reasons and (other := explain(hypotheses.OTHER_COLOUR, c, TOLERANCE[0])):
-            without = f"without colour, poses and depth agree to {100 * other[1]:.1f} cm"
-            expected = "colour and depth of the same view"
-            return other[0].name, expected, [without], other[0].hint
-    if not reasons:
-        return None
+    if convention is None and (other := explain(hypotheses.OTHER_COLOUR, c, TOLERANCE[0])):
+        without = f"without colour, poses and depth agree to {100 * other[1]:.1f} cm"
+        return other[0].name, "colour and depth of the same view", [without], other[0].hint
     text = "the given poses contradict the depth"
     expected = "camera to world, OpenCV camera axes (x right, y down, z forward), metres"
     if convention is not None:

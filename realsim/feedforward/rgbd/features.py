@@ -259,7 +259,7 @@ def rigid_ransac(P: F64, Q: F64, rng: np.random.Generator, trials: int = 200) ->
     have at 2 m, and twice a pixel of image noise.
     """
     limit = 0.01 * np.minimum(P[:, 2], Q[:, 2]) + 0.01
-    pick = np.array([rng.choice(len(P), 3, replace=False) for _ in range(trials)])
+    pick = rng.integers(len(P), size=(trials, 3))  # a triple with one point twice is a wasted trial, no more
     R, t = _kabsch(P[pick], Q[pick])
     off = R @ Q.T + t[:, :, None] - P.T
     near = np.einsum("tam,tam->tm", off, off) < limit**2

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from realsim.core.geometry import interpolated_T, invert_T, make_T
 from realsim.core.types import F64
-from realsim.feedforward.rgbd.depth_colour_sync import OTHERS, has_own_depth
+from realsim.feedforward.rgbd.depth_colour_sync import has_own_depth
 
 if TYPE_CHECKING:
     from realsim.feedforward.rgbd.check_poses import Comparison
@@ -123,8 +123,6 @@ def of_poses(scale: float | None) -> list[Hypothesis]:
     return [Hypothesis(name, undo, by_points, hint) for name, undo, hint in rows]
 
 
-LATE = [Hypothesis(r.name, partial(shift_poses, shift=-r.late), by_depth, r.hint) for r in OTHERS if r.late]
-"""Depth images of other frames: their poses are those of these."""
 OTHER_COLOUR = [
     Hypothesis(
         "the colour images belong to other depth images than those they are named with",
