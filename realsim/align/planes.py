@@ -132,10 +132,12 @@ def _best_hypothesis(cloud: Cloud, pool: np.ndarray, rng: np.random.Generator) -
     """The plane through three agreeing points that covers the most cells, scored by inlier count."""
     points, normals = cloud.points[pool], cloud.normals[pool]
     best, best_count = None, 0
+    square = (points**2).sum(1)
     for seed_point in rng.integers(0, len(pool), HYPOTHESES):
-        cosine = normals @ normals[seed_point]
-        slab = np.abs((points - points[seed_point]) @ normals[seed_point])
-        distance = np.linalg.norm(points - points[seed_point], axis=1)
+        here, facing = points[seed_point], normals[seed_point]
+        cosine = normals @ facing
+        slab = np.abs(points @ facing - here @ facing)
+        distance = np.sqrt(np.maximum(square - 2 * points @ here + here @ here, 0))
         agree = np.abs(cosine) > GATE_COS if not cloud.oriented else cosine > GATE_COS
         region = np.flatnonzero(agree & (slab < TOLERANCE + 0.2 * distance))
         if len(region) < 3:

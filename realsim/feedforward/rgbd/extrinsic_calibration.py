@@ -18,10 +18,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from realsim.core.geometry import invert_T, nearest_rotation
 from realsim.core.least_squares import cauchy, differences, least_squares
-from realsim.core.types import F64, Frame, Intrinsics
+from realsim.core.types import F32, F64, Frame, Intrinsics
 from realsim.feedforward.rgbd.features import Match, View
 
 PRIOR = np.array([0.1, 0.03, 0.03, 0.03, 0.03])
@@ -131,10 +132,10 @@ def calibrate(views: Sequence[View], matches: Sequence[Match], T: F64 | None = N
     held_out, used = far[::4], [m for k, m in enumerate(far) if k % 4]
     if sum(len(m.a) for m in used) < LEAST or not held_out:
         return None
-    known = None if T is None else (T, gain)
+    fitted, apart = (_Pairs.of(views, some, T, gain) for some in (used, held_out))
 
     def residual(theta: F64) -> F64:
-        return np.concatenate([_residual(views, m, theta, known).ravel() for m in used]) / SCALE
+        return fitted.residual(theta).ravel() / SCALE
 
     # Noise in the slopes of depth makes steps too short: the best of some multiples is taken.
     fit = least_squares(
@@ -149,72 +150,109 @@ def calibrate(views: Sequence[View], matches: Sequence[Match], T: F64 | None = N
     )
     assert fit is not None  # no state of this model is impossible
     scores = np.zeros((len(used), 5))
-    pair = np.repeat(np.arange(len(used)), [3 * len(m.a) for m in used])
-    np.add.at(scores, pair, fit.jacobian * (fit.weight * fit.residual)[:, None])
+    np.add.at(scores, np.repeat(fitted.pair, 3), fit.jacobian * (fit.weight * fit.residual)[:, None])
     inverse = np.linalg.inv(fit.information + np.diag(PRIOR**-2.0))
     sigma = np.sqrt(np.diag(inverse @ (scores.T @ scores) @ inverse))
-    before, after = (
-        float(np.nanmedian(np.concatenate([np.linalg.norm(_residual(views, m, t, known), axis=1) for m in held_out])))
-        for t in (np.zeros(5), fit.state)
-    )
+    before, after = (float(np.nanmedian(np.linalg.norm(apart.residual(t), axis=1))) for t in (np.zeros(5), fit.state))
     return Found(Registration.of(fit.state), sigma, before, after, sum(len(m.a) for m in used))
 
 
-Known = tuple[F64, float] | None
-"""Poses and gain, as `calibrate` has them."""
+@dataclass(frozen=True)
+class Grids:
+    """The thinned depths of several views, to be looked up together."""
 
+    depth: F32
+    """(V, h, w) metres, 0 where a view has none."""
+    camera: F64
+    """(V, 6) fx, fy, cx, cy, width, height."""
 
-def _residual(views: Sequence[View], m: Match, theta: F64, known: Known) -> F64:
-    """(M, 3) what is left between the points of a pair under its motion (where it is not known, the rigid one that fits
-    best), over depth; NaN where unknown."""
-    P, Q = _points(views[m.i], m.a, theta), _points(views[m.j], m.b, theta)
-    on = np.isfinite(P).all(1) & np.isfinite(Q).all(1)
-    out = np.full((len(P), 3), np.nan)
-    p, q = P[on], Q[on]
-    if len(p) < 6:
-        return out
-    z = np.minimum(p[:, 2], q[:, 2])
-    if known is not None:
-        D = invert_T(known[0][m.i]) @ known[0][m.j]
-        r = (p - q @ D[:3, :3].T - D[:3, 3] / known[1]) / z[:, None]
-    w = 1 / z**2
-    for _ in range(3 if known is None else 0):
-        pc, qc = (w[:, None] * p).sum(0) / w.sum(), (w[:, None] * q).sum(0) / w.sum()
-        R = nearest_rotation((w[:, None] * (p - pc)).T @ (q - qc))
-        r = (p - pc - (q - qc) @ R.T) / z[:, None]
-        w = 1 / z**2 / (1 + (r**2).sum(1) / SCALE**2)
-    # Rays that are wider by the zoom have wider errors too; without this the best fit would be a world of no width.
-    r[:, :2] /= 1 + theta[0]
-    out[on] = r
-    return out
+    @classmethod
+    def of(cls, views: Sequence[View]) -> Grids:
+        """Views of whatever sizes."""
+        cameras = np.array([(c.fx, c.fy, c.cx, c.cy, c.width, c.height) for c in (v.camera for v in views)])
+        depth = np.zeros((len(views), *(int(n) for n in cameras[:, :3:-1].max(0))), np.float32)
+        for grid, view in zip(depth, views, strict=True):
+            grid[: view.depth.shape[0], : view.depth.shape[1]] = view.depth
+        return cls(depth, cameras)
 
-
-def _points(view: View, index: np.ndarray, theta: F64) -> F64:
-    """(M, 3) points of features in the depth camera under a registration; NaN where the depth there is unknown."""
-    rays, z = view.xy[index], view.z[index]
-    for _ in range(3):
-        xy = (1 + theta[0]) * rays + theta[1:3] + theta[3:] / z[:, None]
-        found = look_up_inverse_depth(view, xy)
-        z = np.where(np.isfinite(found), 1 / found, z)
-    z = 1 / found
-    return np.column_stack([xy, np.ones(len(xy))]) * z[:, None]
+    def inverse_depth(self, view: Any, xy: F64) -> F64:
+        """(M,) bilinear inverse depth of views (M,), or of one, at (M, 2) on the plane z = 1; NaN at borders, holes."""
+        fx, fy, cx, cy, width, height = self.camera[view].T
+        u, v = xy[:, 0] * fx + cx, xy[:, 1] * fy + cy
+        u0, v0 = np.floor(u).astype(int), np.floor(v).astype(int)
+        ok = (u0 >= 0) & (v0 >= 0) & (u0 < width - 1) & (v0 < height - 1)
+        u0, v0 = np.where(ok, u0, 0), np.where(ok, v0, 0)
+        du, dv = u - u0, v - v0
+        d = self.depth[view, v0 + CORNERS[0], u0 + CORNERS[1]].astype(float)
+        weight = np.abs(1 - CORNERS[0] - dv) * np.abs(1 - CORNERS[1] - du)
+        low, high = d.min(0), d.max(0)
+        ok &= (low > 0) & (high < 1.05 * low)
+        total = (weight / np.maximum(d, 1e-6)).sum(0)
+        return np.where(ok, total, np.nan)
 
 
 CORNERS = np.array([[0, 0, 1, 1], [0, 1, 0, 1]])[..., None]
 """Rows and columns of the pixels about a place."""
 
 
-def look_up_inverse_depth(view: View, xy: F64) -> F64:
-    """(M,) bilinear inverse depth of the thinned grid, NaN at borders and holes."""
-    c = view.camera
-    u, v = xy[:, 0] * c.fx + c.cx, xy[:, 1] * c.fy + c.cy
-    u0, v0 = np.floor(u).astype(int), np.floor(v).astype(int)
-    ok = (u0 >= 0) & (v0 >= 0) & (u0 < c.width - 1) & (v0 < c.height - 1)
-    u0, v0 = np.where(ok, u0, 0), np.where(ok, v0, 0)
-    du, dv = u - u0, v - v0
-    d = view.depth[v0 + CORNERS[0], u0 + CORNERS[1]].astype(float)
-    weight = np.abs(1 - CORNERS[0] - dv) * np.abs(1 - CORNERS[1] - du)
-    low, high = d.min(0), d.max(0)
-    ok &= (low > 0) & (high < 1.05 * low)
-    total = (weight / np.maximum(d, 1e-6)).sum(0)
-    return np.where(ok, total, np.nan)
+@dataclass(frozen=True)
+class _Pairs:
+    """Matched features of all pairs in one row."""
+
+    grids: Grids
+    pair: NDArray[np.int64]
+    """(M,) ascending."""
+    view: NDArray[np.int64]
+    """(2, M) the views of the pair."""
+    rays: F64
+    """(2, M, 2) as read."""
+    z: F64
+    """(2, M) sensor depth, metres."""
+    motion: tuple[F64, F64] | None
+    """Rotation and translation (M, 3, 3), (M, 3) of the second view's points into the first, if it is known."""
+
+    @classmethod
+    def of(cls, views: Sequence[View], matches: Sequence[Match], T: F64 | None, gain: float) -> _Pairs:
+        pair = np.repeat(np.arange(len(matches)), [len(m.a) for m in matches])
+        view = np.array([(m.i, m.j) for m in matches])[pair].T
+        sides = [[(views[m.i], m.a) for m in matches], [(views[m.j], m.b) for m in matches]]
+        rays = np.stack([np.concatenate([v.xy[index] for v, index in side]) for side in sides])
+        z = np.stack([np.concatenate([v.z[index] for v, index in side]) for side in sides])
+        motion = None
+        if T is not None:
+            D = (invert_T(T[[m.i for m in matches]]) @ T[[m.j for m in matches]])[pair]
+            motion = D[:, :3, :3], D[:, :3, 3] / gain
+        return cls(Grids.of(views), pair, view, rays, z, motion)
+
+    def residual(self, theta: F64) -> F64:
+        """(M, 3) what is left between the points of a pair under its motion (where it is not known, the rigid one that
+        fits best), over depth; NaN where unknown."""
+        P, Q = (self._points(side, theta) for side in (0, 1))
+        on = np.isfinite(P).all(1) & np.isfinite(Q).all(1)
+        on &= np.bincount(self.pair, on)[self.pair] >= 6
+        p, q, pair = P[on], Q[on], np.unique(self.pair[on], return_inverse=True)[1]
+        z = np.minimum(p[:, 2], q[:, 2])[:, None]
+        if self.motion is not None:
+            R, t = (part[on] for part in self.motion)
+            r = (p - (R @ q[..., None])[..., 0] - t) / z
+        w = 1 / z**2
+        first = np.flatnonzero(np.diff(pair, prepend=-1))
+        for _ in range(3 if self.motion is None and len(p) else 0):
+            total = np.add.reduceat(w, first)
+            pc, qc = (x - (np.add.reduceat(w * x, first) / total)[pair] for x in (p, q))
+            R = nearest_rotation(np.add.reduceat((w * pc)[:, :, None] * qc[:, None], first))[pair]
+            r = (pc - (R @ qc[..., None])[..., 0]) / z
+            w = 1 / z**2 / (1 + (r**2).sum(1, keepdims=True) / SCALE**2)
+        out = np.full((len(P), 3), np.nan)
+        # Rays that are wider by the zoom have wider errors too; without this the best fit would be of no width.
+        out[on] = r / (1 + theta[0], 1 + theta[0], 1) if len(p) else 0
+        return out
+
+    def _points(self, side: int, theta: F64) -> F64:
+        """(M, 3) points of features in the depth camera under a registration; NaN where the depth there is unknown."""
+        rays, z = self.rays[side], self.z[side]
+        for _ in range(3):
+            xy = (1 + theta[0]) * rays + theta[1:3] + theta[3:] / z[:, None]
+            found = self.grids.inverse_depth(self.view[side], xy)
+            z = np.where(np.isfinite(found), 1 / found, z)
+        return np.column_stack([xy, np.ones(len(xy))]) / found[:, None]
