@@ -284,7 +284,9 @@ def explain_write_errors(path: Path) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def output_folder(path: Path, *, overwrite: bool = False, source: Path | None = None) -> Iterator[Path]:
+def output_folder(
+    path: Path, *, overwrite: bool = False, source: Path | None = None, marks: Sequence[str] = MARKS
+) -> Iterator[Path]:
     """A folder that appears under its name only when everything in it has been written.
 
     Yields a temporary sibling; on success it is renamed to `path`, on any error or interrupt it is removed.
@@ -292,6 +294,7 @@ def output_folder(path: Path, *, overwrite: bool = False, source: Path | None = 
 
     Args:
         source: what the folder is made from; it must not go with what is replaced.
+        marks: files of which a folder that may be replaced holds one.
 
     Raises:
         RealsimError: a file, `source` in it, or a folder that is not to be, or not ours to be, replaced.
@@ -303,7 +306,7 @@ def output_folder(path: Path, *, overwrite: bool = False, source: Path | None = 
         )
     if source is not None:
         refuse_within(path, source)
-    refuse_existing(path, overwrite)
+    refuse_existing(path, overwrite, marks)
     made = [parent for parent in path.parents if not parent.exists()]
     with explain_write_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -317,7 +320,7 @@ def output_folder(path: Path, *, overwrite: bool = False, source: Path | None = 
             yield work
             with explain_write_errors(path):
                 os.chmod(work, 0o755)
-                place_folder(work, path, overwrite=overwrite)
+                place_folder(work, path, overwrite=overwrite, marks=marks)
     except BaseException:
         shutil.rmtree(work if work.exists() else new, ignore_errors=True)
         for parent in made:
@@ -365,12 +368,12 @@ def refuse_within(out: Path, source: Path) -> None:
         )
 
 
-def place_folder(work: Path, target: Path, *, overwrite: bool = False) -> None:
+def place_folder(work: Path, target: Path, *, overwrite: bool = False, marks: Sequence[str] = MARKS) -> None:
     """Give a finished folder its name, in one step that cannot hide or remove what anybody else put there meanwhile.
 
     Args:
         work: the folder, on the same file system as `target`.
-        overwrite: whether a folder there that holds one of `MARKS` may be replaced.
+        overwrite: whether a folder there that holds one of `marks` may be replaced.
 
     Raises:
         RealsimError: `target` is not empty, and not to be or not ours to be replaced. `work` is as it was.
@@ -382,7 +385,7 @@ def place_folder(work: Path, target: Path, *, overwrite: bool = False) -> None:
         except OSError as error:
             if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
                 raise
-        refuse_existing(target, overwrite)
+        refuse_existing(target, overwrite, marks)
         old = Path(tempfile.mkdtemp(dir=target.parent, prefix=f".{target.name}.old-"))
         with contextlib.suppress(FileNotFoundError):
             os.rename(target, old / target.name)

@@ -21,7 +21,7 @@ from realsim.gap.answer.sentence import advice, sentence
 from realsim.gap.answer.stays import what_stays
 from realsim.gap.case.case import Case
 from realsim.gap.case.health import examine
-from realsim.gap.case.runs import LEAST_SAMPLES, Run
+from realsim.gap.case.runs import LEAST_SAMPLES, Run, find_gaps
 from realsim.gap.case.split import replicates as replicates
 from realsim.gap.case.split import split_runs
 from realsim.gap.config import DiagnoseConfig
@@ -45,6 +45,9 @@ Progress = Callable[[str, float], None]
 LIES, WAITING, FLIGHT, GRAVITY = 0.5, 0.25, 1.0, 9.81
 """Share of its usual thrust below which a drone that does not fall lies on the ground, s before and after in which it
 would, the shortest flight, s, and m/s2. Not tuned; two Crazyflies on the ground give a fiftieth."""
+
+STRETCH = 0.5
+"""s that a stretch between gaps must last: a run's first state is judged by 0.3 s of it. Not tuned."""
 
 
 def diagnose(
@@ -112,6 +115,16 @@ def limited(case: Case, config: DiagnoseConfig) -> Case:
     """At most max_runs runs of at most max_seconds each; what is left out is noted."""
     usual = figures.WALKED if case.floating and case.joint_names else figures.LONGEST
     notes, seconds = [], usual if config.max_seconds is None else config.max_seconds
+    parts = {run.name: unbroken(case, run) for run in case.runs}
+    if broken := [run for run in case.runs if parts[run.name] != [run]]:
+        steps = np.concatenate([np.diff(run.time)[np.array(find_gaps(run.time)) - 1] for run in broken])
+        kept = sum(p.duration for run in broken for p in parts[run.name]) / sum(run.duration for run in broken)
+        notes.append(
+            f"{len(steps)} gaps in time in {len(broken)} runs, the longest {steps.max():.2g} s: each stretch between "
+            f"them is a run ({kept:.0%} of these runs)"
+        )
+    added = tuple(part.name for name in case.added for part in parts[name])
+    case = replace(case, runs=tuple(part for of in parts.values() for part in of), added=added)
     runs = [part for run in case.runs for part in aloft(case, run)]
     if [r.name for r in runs] != [r.name for r in case.runs]:
         notes.append("where the robot lies on the ground, which its model falls through, its runs are cut")
@@ -129,7 +142,7 @@ def limited(case: Case, config: DiagnoseConfig) -> Case:
         for run in runs:
             begin = _stirs(run) if run.name in long else 0.0
             late += [f"{run.name} from {begin:.1f} s"] if begin else []
-            cut.append(_part(run, begin, seconds))
+            cut.append(run.part((run.time >= begin) & (run.time <= begin + seconds)))
         if late:
             notes.append(f"where their commands never change before, the part from then on: {', '.join(late)}")
         few = [r.name for r in cut if len(r.time) < LEAST_SAMPLES]
@@ -143,6 +156,14 @@ def limited(case: Case, config: DiagnoseConfig) -> Case:
             hint="raise max_seconds (--max-seconds)",
         )
     return case.with_runs(tuple(runs), *notes)
+
+
+def unbroken(case: Case, run: Run) -> list[Run]:
+    """The stretches of a run between gaps in its clock; of a floating robot whose base is not logged only the first, as
+    nothing tells where the others begin. The run itself where none lasts as long as a first state is judged by."""
+    parts = run.stretches(STRETCH)
+    unknown = case.floating and "base_pos" not in run.signals
+    return (parts[:1] if unknown else parts) or [run]
 
 
 def aloft(case: Case, run: Run) -> list[Run]:
@@ -163,20 +184,13 @@ def aloft(case: Case, run: Run) -> list[Run]:
     long = [(b, e) for b, e in edges if run.time[e - 1] - run.time[b] > FLIGHT]
     if not long or long == [(0, len(run.time))]:
         return [run]
-    ends = [(float(run.time[b]), float(run.time[e - 1] - run.time[b])) for b, e in long]
-    return [replace(_part(run, *end), name=f"{run.name}_{k}") for k, end in enumerate(ends, 1)]
+    return [replace(run.part(slice(*ends)), name=f"{run.name}_{k}") for k, ends in enumerate(long, 1)]
 
 
 def _stirs(run: Run) -> float:
     """Seconds at which a run's commands first change, less one in which it shows how it rests."""
     changed = (run.command != run.command[0]).any(axis=1)
     return max(float(run.time[np.argmax(changed)]) - 1.0, 0.0)
-
-
-def _part(run: Run, begin: float, seconds: float) -> Run:
-    """So many seconds of a run, from `begin`; a given first state is that of its beginning only."""
-    part = run.where((run.time >= begin) & (run.time <= begin + seconds))
-    return replace(part, time=part.time - part.time[0], init_qpos=None, init_qvel=None) if begin else part
 
 
 def _assemble(

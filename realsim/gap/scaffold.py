@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from realsim.core.errors import GapError
-from realsim.core.files import inside, output_folder, read_bytes, to_json, write_bytes, write_text
+from realsim.core.files import MARKS, inside, output_folder, read_bytes, to_json, write_bytes, write_text
 from realsim.gap.answer.patch import asset_files
 from realsim.gap.case.case import load_model
 from realsim.gap.recordings.model import load_target
@@ -39,7 +39,7 @@ def start_case(model_xml: Path, out: Path, *, overwrite: bool = False) -> Path:
     Args:
         model_xml: MJCF of the robot as it is simulated, servos and ground included.
         out: the new folder.
-        overwrite: replace a diagnosis or scene there; a folder with anything else is never replaced.
+        overwrite: replace such a folder without runs, a diagnosis or a scene there; one with anything else never.
 
     Returns:
         `out`.
@@ -79,7 +79,8 @@ def start_case(model_xml: Path, out: Path, *, overwrite: bool = False) -> Path:
         "notes": f"made from {Path(model_xml).name}; see README.md",
     }
     first = f"time,command_{target.actuators[0]},joint_pos_{target.joints[0]}"
-    with output_folder(out, overwrite=overwrite, source=Path(model_xml)) as folder:
+    marks = ("README.md", *MARKS) if _without_runs(Path(out)) else MARKS
+    with output_folder(out, overwrite=overwrite, source=Path(model_xml), marks=marks) as folder:
         write_text(folder / "model.xml", text)
         for name in asset_files(spec):
             write_bytes(inside(folder, name), read_bytes(inside(Path(model_xml).parent, name)))
@@ -90,3 +91,10 @@ def start_case(model_xml: Path, out: Path, *, overwrite: bool = False) -> Path:
         write_text(folder / "README.md", table)
         (folder / "runs").mkdir()
     return Path(out)
+
+
+def _without_runs(folder: Path) -> bool:
+    """Whether this is a folder that `start_case` made, and nothing was recorded into it."""
+    readme, runs = folder / "README.md", folder / "runs"
+    ours = readme.is_file() and read_bytes(readme).startswith(TO_DO[:24].encode())
+    return ours and runs.is_dir() and not any(runs.iterdir())

@@ -137,7 +137,7 @@ def held(values: Any) -> Any:
     [
         (even, "perfectly even time stamps"),
         (jittery, "sampling step varies"),
-        (gap_in_time, "1 gaps in time"),
+        (gap_in_time, "1 late samples"),
         (with_signal("joint_pos", held), "the bus is slower than the log"),
         (with_signal("joint_torque", lambda t: np.clip(t, -3, 3)), "logged torque stays at 3"),
         (with_signal("joint_torque", column(0, np.negative)), "shoulder: torque looks negated"),

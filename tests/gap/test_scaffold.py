@@ -42,6 +42,16 @@ def test_a_case_is_not_made_over_another_folder(tmp_path: Path, capsys: pytest.C
     assert "README.md" in capsys.readouterr().out
 
 
+def test_a_case_without_runs_is_made_anew_and_one_with_runs_is_kept(tmp_path: Path) -> None:
+    (tmp_path / "arm.xml").write_text(ARM)
+    command = ["diagnose", "--init", str(tmp_path / "arm.xml"), "--out", str(tmp_path / "case"), "--overwrite"]
+    assert main(command) == 0
+    assert main(command) == 0
+    (tmp_path / "case" / "runs" / "mine.csv").write_text("time\n0\n")
+    assert main(command) == 2
+    assert (tmp_path / "case" / "runs" / "mine.csv").is_file()
+
+
 def test_models_that_no_log_can_refer_to_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.xml"
     path.write_text(ARM.replace('joint name="', 'joint user="1" name="x').replace('name="x', 'class="main" dummy="'))

@@ -119,6 +119,10 @@ class Case:
         name = self.actuator_of(joint)
         return 1.0 if name is None else float(self.model.actuator(name).gear[0])
 
+    def slides(self, joint: str) -> bool:
+        """Whether a joint moves along its axis, in m and N, and does not turn about it."""
+        return int(self.model.joint(joint).type[0]) == 2  # mjJNT_SLIDE
+
     def command_torque(self, joint: str) -> float:
         """N m that its servo adds at once to the joint's torque for a unit of command; 0 without an actuator."""
         name = self.actuator_of(joint)

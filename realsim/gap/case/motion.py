@@ -16,6 +16,7 @@ import numpy as np
 from realsim.core.errors import GapError
 from realsim.core.types import F64
 from realsim.gap.case.case import Case, Run
+from realsim.gap.case.runs import usual_step
 
 HALF_WINDOW = 0.035
 """Seconds to each side that a cubic is fitted over: shorter than a servo's response, longer than encoder noise."""
@@ -164,3 +165,41 @@ def differences(column: F64, order: int) -> F64:
     if len(found) < ROOM * (finite.sum() - order):
         found = np.diff(column[finite], order)
     return found
+
+
+LAGS, SHORTEST_LAG, FINE = np.arange(0.0, 0.1001, 0.002), 0.004, 0.005
+"""s of a filter that a drive may report its velocity through, the least that is told from noise, and s of a step that
+shows it."""
+FILTERED = 0.5
+"""Share of the squared difference between velocities and slopes that a filter's lag must explain. Not tuned."""
+
+
+def velocity_lag(case: Case) -> float:
+    """Time constant, s, of the first-order filter through which joint_vel shows the slope of joint_pos; 0 where it has
+    none. Drives filter what they difference, and tables hold differences to the sample before."""
+    left = np.zeros(len(LAGS))
+    for run in case.runs if case.has("joint_vel") and case.has("joint_pos") else ():
+        step = min(usual_step(run.time), FINE)
+        grid = np.arange(0.0, run.time[-1], step)
+        slope, told = (
+            smooth(grid, run.time, run.signals["joint_pos"])[1],
+            smooth(grid, run.time, run.signals["joint_vel"])[0],
+        )
+        size = np.maximum(np.std(slope, axis=0), 1e-3)
+        left += [float(np.mean(((low_passed(slope, lag, step) - told) / size) ** 2)) for lag in LAGS]
+    best = int(np.argmin(left))
+    return float(LAGS[best]) if LAGS[best] >= SHORTEST_LAG and left[best] < (1 - FILTERED) * left[0] else 0.0
+
+
+def low_passed(values: F64, lag: float, step: float) -> F64:
+    """(N, K) response of a first-order filter of time constant `lag` to samples `step` apart, s; steady at first."""
+    from scipy.signal import lfilter
+
+    keeps = np.exp(-step / lag) if lag > 0 else 0.0
+    return np.asarray(lfilter([1 - keeps], [1, -keeps], values, axis=0, zi=keeps * values[:1])[0])
+
+
+def sample_noise(case: Case, column: int, signal: str = "joint_pos") -> float:
+    """Standard deviation of a sample's noise in one column of a signal, from third differences of all runs."""
+    kinks = [differences(r.signals[signal][:, column], 3) / np.sqrt(20) for r in case.runs]
+    return 1.4826 * median_size(np.concatenate(kinks))

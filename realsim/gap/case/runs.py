@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,9 @@ OFF_AFTER = 0.1
 """Seconds without any command from which on a drive is off; shorter gaps are lost messages, and a command holds."""
 MAX_SAMPLES = 5_000_000
 LEAST_SAMPLES = 20
+GAP, SHORTEST_GAP, LONGEST_STEP = 4.0, 0.05, 0.2
+"""Usual steps, and s, that a step of the clock must exceed to be a gap: a late loop holds its command about as long.
+No servo's log has steps above the last one, s. Not tuned."""
 LARGEST = 1e6
 """No joint, motor or accelerometer reads as much in SI units: such values are damage (benchmarks/robustness/fuzz.py:
 1e300)."""
@@ -56,6 +60,8 @@ class Run:
     """Known differences of this run from model.xml."""
     enabled: Any = None
     """(T, U) bool, whether the drive gives torque from this sample to the next; None if all do throughout."""
+    goes_on: bool = False
+    """Whether it is what follows a gap in a recording: its robot may be moving at the first sample."""
 
     def __repr__(self) -> str:
         return f"Run({self.name!r}, {len(self.time)} samples of {', '.join(self.signals)})"
@@ -69,6 +75,23 @@ class Run:
             signals={name: values[keep] for name, values in self.signals.items()},
             enabled=None if self.enabled is None else self.enabled[keep],
         )
+
+    def part(self, rows: Any) -> Run:
+        """These rows, of a slice or a mask, with a clock from 0; a given first state is that of the first row only."""
+        part = self.where(rows)
+        begun = float(part.time[0])
+        part = replace(part, time=part.time - begun)
+        return replace(part, init_qpos=None, init_qvel=None) if begun else part
+
+    def stretches(self, shortest: float) -> list[Run]:
+        """The stretches between gaps in time that last so many s or more, each a run; itself where it has no gap.
+
+        Nobody knows what was commanded in a gap, so nothing may be predicted across one.
+        """
+        ends = [0, *find_gaps(self.time), len(self.time)]
+        parts = [replace(self.part(slice(a, b)), name=f"{self.name}_{k}", goes_on=a > 0)
+                 for k, (a, b) in enumerate(pairwise(ends), 1) if b - a >= LEAST_SAMPLES]  # fmt: skip
+        return [p for p in parts if p.duration >= shortest] if len(ends) > 2 else [self]
 
     @property
     def samples(self) -> str:
@@ -84,6 +107,18 @@ class Run:
     @property
     def duration(self) -> float:
         return float(self.time[-1] - self.time[0])
+
+
+def usual_step(time: F64) -> float:
+    """s of the step in which a log is at most moments: neither stamps that come in bursts nor single gaps move it."""
+    steps = np.sort(np.diff(time))
+    passed = np.cumsum(np.minimum(steps, LONGEST_STEP))
+    return float(steps[np.searchsorted(passed, passed[-1] / 2)]) if len(steps) else 0.0
+
+
+def find_gaps(time: F64) -> list[int]:
+    """The first rows after gaps of an increasing clock (T,), s."""
+    return [int(k) + 1 for k in np.flatnonzero(np.diff(time) > max(GAP * usual_step(time), SHORTEST_GAP))]
 
 
 @dataclass(frozen=True)
@@ -232,18 +267,24 @@ def _trusted(time: F64, path: Path, warnings: list[str]) -> Any:
         warnings.append(f"{path.name}: {int((~keep).sum())} samples without a time stamp are left out")
     latest = np.maximum.accumulate(np.where(keep, time, -np.inf))
     # Where one is no newer than any before it, the order is in doubt.
-    back = keep & (time <= np.concatenate([[-np.inf], latest[:-1]]))
+    back = keep & (time < np.concatenate([[-np.inf], latest[:-1]]))
     if back.sum() > 0.05 * len(time):
         raise GapError(
             "the clock runs backwards",
             file=path,
             expected="increasing time",
-            found=f"{int(back.sum())} of {len(time)} steps do not increase, the first at sample {int(np.argmax(back))}",
+            found=f"{int(back.sum())} of {len(time)} steps go back, the first at sample {int(np.argmax(back))}",
             hint="sort the log by the robot's own clock",
         )
     if back.any():
         warnings.append(f"{path.name}: the clock runs backwards at {int(back.sum())} samples, which are left out")
-    return keep & ~back
+    keep &= ~back
+    rows = np.flatnonzero(keep)
+    again = rows[:-1][np.diff(time[rows]) == 0]
+    if len(again):
+        warnings.append(f"{path.name}: {len(again)} time stamps repeat: the newest sample of each is used")
+    keep[again] = False
+    return keep
 
 
 def _check_shape(path: Path, name: str, array: F64, want: tuple[int, int]) -> None:

@@ -240,6 +240,8 @@ class Effect:
 
 JOINTS = Where("joint", lambda context: [(name,) for name in context.driven])
 """Each driven joint."""
+LOGGED = Where("joint", lambda context: [(name,) for name in (*context.driven, *context.passive)])
+"""Each joint that is logged, also one that others, or tendons, move."""
 EVERYWHERE = Where("global", lambda context: [()])
 GROUND = Where("global", lambda context: [()] if context.touches else [])
 """Everywhere, if the robot touches anything."""

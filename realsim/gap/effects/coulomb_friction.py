@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from realsim.gap.case.model.context import Context
-from realsim.gap.effects.base import JOINTS, Edit, Effect, Excitation, Parameter, Place, Rivals, Suggestion, Words
+from realsim.gap.effects.base import LOGGED, Edit, Effect, Excitation, Parameter, Place, Rivals, Suggestion, Words
 from realsim.gap.effects.sizes import size_of_dry_friction
 from realsim.gap.effects.stribeck_friction import higher_at_rest
 
@@ -40,7 +40,7 @@ def _suggests(context: Context, place: Place, values: dict[str, float]) -> list[
 
 EFFECT = Effect(
     name="coulomb_friction",
-    where=JOINTS,
+    where=LOGGED,
     parameters=_parameters,
     apply=_apply,
     words=Words(

@@ -31,7 +31,7 @@ def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
     return (Parameter("delay", "s", (-0.01, LONGEST), 0.01, nuisance=0.0012, plausible=size),)
 
 
-def delay(name: str, twin: str, where: Where, words: Words) -> Effect:
+def delay(name: str, twin: str, where: Where, words: Words, commoner: str | None = None) -> Effect:
     """The effect that adds to the field `name` of the simulator's signals, in seconds; `twin` is the other one."""
 
     def apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
@@ -49,7 +49,7 @@ def delay(name: str, twin: str, where: Where, words: Words) -> Effect:
         words=words,
         patchable=False,
         law=Law(form=EXACT),
-        rivals=Rivals(suggest, compared=(twin,)),
+        rivals=Rivals(suggest, commoner=commoner, compared=(twin,)),
     )
 
 
@@ -90,6 +90,7 @@ OBSERVATION = delay(
         told_by=(Distinction("a delay of the command", "an IMU or base pose", ("imu_gyro", "imu_acc", "base_pos")),),
         changed_by="other software or another bus",
     ),
+    commoner="command_delay",  # readings are stamped when they are taken; commands wait for buses and drives
 )
 
 

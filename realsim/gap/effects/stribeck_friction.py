@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from realsim.gap.case.model.context import Context
-from realsim.gap.effects.base import JOINTS, Edit, Effect, Excitation, Law, Parameter, Place, Rivals, Suggestion, Words
+from realsim.gap.effects.base import LOGGED, Edit, Effect, Excitation, Law, Parameter, Place, Rivals, Suggestion, Words
 from realsim.gap.effects.sizes import size_of_dry_friction
 
 WIDEST = 0.4
@@ -81,7 +81,7 @@ def _suggests(context: Context, place: Place, values: dict[str, float]) -> list[
 
 EFFECT = Effect(
     name="stribeck_friction",
-    where=JOINTS,
+    where=LOGGED,
     parameters=_parameters,
     apply=_apply,
     words=Words(

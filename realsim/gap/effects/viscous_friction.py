@@ -8,7 +8,7 @@ from realsim.gap.case.model.context import Context
 from realsim.gap.case.model.edit import put
 from realsim.gap.effects.base import (
     EXACT,
-    JOINTS,
+    LOGGED,
     Distinction,
     Edit,
     Effect,
@@ -47,7 +47,7 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
 
 def _suggests(context: Context, place: Place, values: dict[str, float]) -> list[Suggestion]:
     """The servo's damping gain brakes alike; only the drive's torque tells them apart."""
-    if context.case.has("joint_torque"):
+    if context.case.has("joint_torque") or not set(place) <= set(context.driven):
         return []
     servo = servo_damping(context, place)
     more = values["damping"] / servo if servo > 0 else -1.0
@@ -56,7 +56,7 @@ def _suggests(context: Context, place: Place, values: dict[str, float]) -> list[
 
 EFFECT = Effect(
     name="viscous_friction",
-    where=JOINTS,
+    where=LOGGED,
     parameters=_parameters,
     apply=_apply,
     words=Words(

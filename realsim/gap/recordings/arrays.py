@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from realsim.core.errors import GapError
 from realsim.core.types import F64
+from realsim.gap.case.runs import GAP, LONGEST_STEP, SHORTEST_GAP, find_gaps, usual_step
 from realsim.gap.recordings.clocks import clocked, increasing
 from realsim.gap.recordings.proposal import Assignment, Proposal, field_of
 from realsim.gap.recordings.recording import Recording, planned
@@ -64,6 +66,11 @@ def run_arrays(proposal: Proposal, recording: Recording) -> RunArrays:
         )  # fmt: skip
     start, end = max(place[0], sent[0]), place[-1]
     rows, notes = _rows(place, sent, start, end)
+    if not planned(series["command"][2]):
+        known = _known(sent, series["command"][1], rows)
+        if lost := int((~known).sum()):
+            notes.append(f"{lost} positions come where commands were not recorded: they are left out")
+        rows = rows[known]
     if len(rows) < LEAST_SAMPLES:
         raise GapError(
             "commands and positions hardly overlap in time", file=recording.path,
@@ -102,10 +109,22 @@ def _rows(place: F64, sent: F64, start: float, end: float) -> tuple[F64, list[st
     after = np.clip(np.searchsorted(rows, inner), 1, len(rows) - 1)
     late = rows[after] - inner
     if not len(inner) or np.median(np.minimum(late, inner - rows[after - 1])) < SETTLED:
-        return rows, []
+        return np.union1d(rows, inner[np.isin(after, find_gaps(rows))]), []  # positions were lost, commands were not
     return np.union1d(rows, inner), [
         f"commands come {1e3 * np.median(late):.3g} ms before the next position: they have rows of their own"
     ]
+
+
+def _known(sent: F64, values: F64, rows: F64) -> Any:
+    """(R,) rows whose command is known: those within a gap of a steady stream of commands, which differ before and
+    after it, are not, nor those after its end. Single goals hold until the next one."""
+    usual, known = usual_step(sent), np.ones(len(rows), bool)
+    if not 0 < usual < LONGEST_STEP:
+        return known
+    for k in find_gaps(sent):
+        if not np.allclose(values[k - 1], values[k], equal_nan=True):
+            known &= (rows <= sent[k - 1] + usual) | (rows > sent[k] - SETTLED)
+    return known & (rows <= sent[-1] + max(GAP * usual, SHORTEST_GAP))
 
 
 def _commanded(time: F64, values: F64, kind: str, rows: F64) -> F64:

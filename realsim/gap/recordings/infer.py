@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from realsim.core.errors import GapError, did_you_mean
+from realsim.gap.case.runs import find_gaps
 from realsim.gap.recordings import body, commands, joints, overrides
 from realsim.gap.recordings.arrays import run_arrays
 from realsim.gap.recordings.clocks import Clocked, clocked
@@ -146,7 +147,8 @@ def _by_values(recording: Recording, target: Target | None, uses: Mapping[str, o
 
 def _said_about_clocks(proposal: Proposal, times: Mapping[str, Clocked], frames: set[str]) -> None:
     for name, found in times.items():
-        step = np.diff(found.time[np.isfinite(found.time)])
+        stamps = np.sort(found.time[np.isfinite(found.time)])
+        step = np.diff(stamps)
         rate = 1 / float(np.median(step)) if len(step) and np.median(step) > 0 else 0.0
         proposal.clocks.append(f"{name or 'table'}: {rate:.4g} Hz; " + "; ".join(found.said))
         proposal.warnings += list(found.warnings)
@@ -156,9 +158,8 @@ def _said_about_clocks(proposal: Proposal, times: Mapping[str, Clocked], frames:
             proposal.warnings.append(
                 f"{name or 'table'}: {rate:.3g} samples per second are few: delay, friction and gains blur"
             )
-        gaps = int((step > max(10 * float(np.median(step)), 0.05)).sum()) if len(step) else 0
-        if gaps:
-            proposal.warnings.append(f"{name or 'table'}: {gaps} gaps in time, the longest of {step.max():.3g} s")
+        if gaps := find_gaps(stamps):
+            proposal.warnings.append(f"{name or 'table'}: {len(gaps)} gaps in time, the longest of {step.max():.3g} s")
 
 
 def _missing(proposal: Proposal, target: Target | None, candidates: Sequence[Candidate]) -> None:

@@ -60,6 +60,7 @@ class _Replay:
     def __init__(self, simulator: Simulator, run: Run, start: Start, motion: Motion) -> None:
         self.simulator, self.run, self.motion, self.edit = simulator, run, motion, Edit(simulator.context)
         self.flies = simulator.case.floating and not simulator.context.driven
+        self.held = not self.flies and simulator.case.command_kind != "torque"
         self.start, self.last = start, run.duration - LEAST
         self.model = self.edit.set_up(run.setup).compile()
         self.dt = float(self.model.opt.timestep)
@@ -86,14 +87,15 @@ class _Replay:
         return None if _in_contact(simulator.case.model, motion) else _Replay(simulator, run, start, motion)
 
     def falls(self) -> bool:
-        """Whether a small error of the state that the run begins in grows too much before its end. Of a robot in the
-        air, whether the replay parts from the log at all: spinning away, it lets no small error grow."""
-        return self.bears(self.start, 0.0, near=self.flies) <= self.last
+        """Whether a small error of the state that the run begins in grows too much before its end. Of a robot that no
+        servo holds, in the air or driven by torques, whether the replay parts from the log at all: spinning away, it
+        lets no small error grow, and no slope holds."""
+        return self.bears(self.start, 0.0, near=not self.held) <= self.last
 
     def in_parts(self) -> Start:
         """The run's start with the states from which its replay goes on."""
         motion, reason = self.motion, "a small error would grow too fast in replay"
-        least = FLIGHT if self.flies else LEAST
+        least = LEAST if self.held else FLIGHT
         begun = self.start if self.start.moving else Start("log", motion.qpos[0], motion.qvel[0])
         here, anchors, at = begun, list[Anchor](), 0.0
         if not self.falls():  # a replay that only drifts shows what is wrong the longer it is

@@ -104,7 +104,9 @@ def tracks_of(context: Context, model: Any, sensors: F64, settle: int, edit: Edi
     force = take("rs_force_", case.actuator_names)
     torque = np.zeros_like(pos)
     for j, joint in enumerate(case.joint_names):
-        if joint in context.actuator:
+        if joint in context.passive:
+            torque[:, j] = take("rs_push_", [joint])[:, 0]
+        else:
             u = case.actuator_names.index(context.actuator[joint])
             torque[:, j] = case.gear(joint) * force[:, u]
             motor = model.joint(edit.motor_joint(joint)).id

@@ -19,6 +19,7 @@ from realsim.gap.case.model.channels import Channel as Channel
 from realsim.gap.case.model.channels import channels
 from realsim.gap.case.model.context import Context, build_context, measure
 from realsim.gap.case.model.edit import Edit
+from realsim.gap.case.motion import low_passed, velocity_lag
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.effects.base import Place
 from realsim.gap.effects.deviations_file import check_places, read_deviations
@@ -65,6 +66,8 @@ class Simulator:
         self.known = tuple(range(len(case.runs)) if known is None else known)
         self.context: Context = build_context(case)
         self.channels = channels(case)
+        self.velocity_lag = velocity_lag(case)
+        """s of the filter that the log's velocities come through."""
         self.simulated_seconds = 0.0
         self.cores = Cores(config.threads)
         self._counting = threading.Lock()
@@ -308,7 +311,7 @@ class Simulator:
         names = self.case.joint_names
         shift = np.array([s.joint_offset.get(n, 0.0) + s.reading_offset.get(n, 0.0) for n in names])
         columns["joint_pos"] = sample(raw["pos"], late) + shift
-        columns["joint_vel"] = sample(raw["vel"], late)
+        columns["joint_vel"] = sample(low_passed(raw["vel"], self.velocity_lag, float(dt)), late)
         gain = np.array([1 + s.torque_gain.get(n, 0.0) for n in names])
         columns["joint_torque"] = sample(raw["torque"], late) * gain
         if s.torque_phase:

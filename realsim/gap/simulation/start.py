@@ -58,7 +58,8 @@ def find_starts(simulator: Simulator, resting: Sequence[F64]) -> tuple[Start, ..
     trials: dict[int, Start] = {}
     sure = {i for i, run in enumerate(case.runs) if _moves(simulator, run, resting[i])}
     for i, run in enumerate(case.runs):
-        if _says_that_it_moves(run) or i in sure or _suspicious(simulator, run, resting[i]):
+        moved = run.goes_on and (not case.floating or "base_pos" in run.signals)
+        if moved or _says_that_it_moves(run) or i in sure or _suspicious(simulator, run, resting[i]):
             given = _says_that_it_moves(run) or run.init_qpos is not None
             trials[i] = _given(case, run) if given else _from_log(case, run)
     if not trials:
@@ -80,6 +81,8 @@ def find_starts(simulator: Simulator, resting: Sequence[F64]) -> tuple[Start, ..
         says = _says_that_it_moves(case.runs[i])
         if i in sure:
             believed = True
+        elif case.runs[i].goes_on:  # it may move or not: what is nearer
+            believed = after < before
         elif says:
             believed = after < max(4 * before, LEAST_MOTION**2)
         else:
@@ -114,7 +117,7 @@ def _moves(simulator: Simulator, run: Run, resting: F64) -> bool:
         error = values - resting[:, columns]
         if not np.isfinite(values[beginning]).any(axis=0).all() or not np.isfinite(error[beginning]).any():
             continue
-        rates = run.signals.get("joint_vel") if signal == "joint_pos" else None
+        rates = run.signals.get("joint_vel") if signal == "joint_pos" and not simulator.velocity_lag else None
         noise = _noise(values)
         place, speed = first_fit(run.time, values, 2, rates)
         off, excess = first_fit(run.time, error, 2)
@@ -230,7 +233,8 @@ def _refined(simulator: Simulator, run: Run, start: Start, predicted: F64) -> St
         speeds = [i for i, c in enumerate(simulator.channels) if c.signal == "joint_vel"]
         error = run.signals[signal] - predicted[:, columns]
         if signal == "joint_pos":
-            rate = run.signals["joint_vel"] - predicted[:, speeds] if speeds else None
+            timely = speeds and not simulator.velocity_lag
+            rate = run.signals["joint_vel"] - predicted[:, speeds] if timely else None
             place, speed = first_fit(run.time, error, 2, rate)
             qpos[[case.model.joint(n).qposadr[0] for n in case.joint_names]] += place
             dofs = [case.model.joint(n).dofadr[0] for n in case.joint_names]

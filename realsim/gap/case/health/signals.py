@@ -9,7 +9,7 @@ import numpy as np
 from realsim.core.errors import GapError
 from realsim.core.types import F64
 from realsim.gap.case.case import Case, Run
-from realsim.gap.case.motion import differences, median_size
+from realsim.gap.case.motion import differences, median_size, sample_noise
 from realsim.gap.case.split import replicates, spread
 from realsim.gap.inference.likelihood.comparison import DETAIL
 from realsim.gap.simulation.simulate import Simulator
@@ -42,6 +42,9 @@ NOISY, STILLEST, MOST_STILL = 1.5, 1e-4, 6
 """Motion in units of a sample's noise, and in rad or m, below which a position does not move; notes of that at most.
 Noise alone has 1."""
 
+LITTLE, ARM = 0.02, 0.05
+"""rad (root mean square) that the liveliest joint of a useful log exceeds, and m that a slide moves for 1 rad. Not
+tuned."""
 CHANGES = 0.7
 """Root mean square by which repetitions differ, as a share of their error against the simulator: with errors that have
 nothing to do with each other it is 1."""
@@ -63,7 +66,7 @@ def clocks(case: Case) -> tuple[dict[str, Any], Said]:
             said.append(f"{run.name}: the sampling step varies by {jitter / median:.0%}: check what stamps the samples")
         if gaps.any():
             longest = f"the longest {step.max():.3g} s"
-            said.append(f"{run.name}: {int(gaps.sum())} gaps in time, {longest}: the last command holds there")
+            said.append(f"{run.name}: {int(gaps.sum())} late samples, {longest}: the last command holds until then")
         said += _stale(run.name, run.signals["joint_pos"], run.command, case.joint_names)
     usual, length = float(np.median(steps)), float(sum(r.duration for r in case.runs))
     if usual > SLOWEST or length < SHORTEST:
@@ -218,13 +221,14 @@ def noise(simulator: Simulator, nominal: list[F64]) -> tuple[dict[str, Any], Sai
 
 def _stillness(case: Case) -> Said:
     """A note on what has more noise than motion; refuses a log in which nothing else moves."""
-    still, moving = [], 0
+    still, moving, sizes = [], 0, [0.0]
     for signal, names in (("joint_pos", case.joint_names), ("base_pos", tuple("xyz") if case.floating else ())):
         for j, name in enumerate(names if case.has(signal) else ()):
             columns = [r.signals[signal][:, j] for r in case.runs]
-            noise = 1.4826 * median_size(np.concatenate([differences(c, 3) / np.sqrt(20) for c in columns]))
+            noise = sample_noise(case, j, signal)
             motion = float(np.sqrt(np.mean([np.nanvar(c) for c in columns])))
             moving += motion > max(NOISY * noise, STILLEST)
+            sizes.append(motion / ARM if signal == "base_pos" or case.slides(name) else motion)
             if motion <= NOISY * noise:
                 still.append(f"{signal} of {name}: {motion:.2g} rms of motion, {noise:.2g} of noise")
     if not moving:
@@ -235,7 +239,13 @@ def _stillness(case: Case) -> Said:
             found="; ".join(still[:3]) or "positions that do not change",
             hint="do the drives give torque, are these the right columns, and are they in the unit that log.json says?",
         )
-    return [f"more noise than motion: {text}" for text in still] if len(still) <= MOST_STILL else []
+    said = [f"more noise than motion: {text}" for text in still] if len(still) <= MOST_STILL else []
+    if case.joint_names and max(sizes) < LITTLE:
+        size = f"{max(sizes):.2g} rad rms at most, 1 m counted as {1 / ARM:g} rad"
+        said.append(
+            f"the robot hardly moves ({size}): play and stiction are as large. Record motions of 0.1 rad or more"
+        )
+    return said
 
 
 def _tolerated(case: Case, signal: str) -> float:

@@ -17,13 +17,16 @@ from realsim.gap.case.model.deviations import Deviations
 
 @dataclass
 class Context:
-    """Parts of the robot and figures of the nominal simulation. Joints are driven joints that are logged."""
+    """Parts of the robot and figures of the nominal simulation. Joints are those that are logged."""
 
     case: Case
     spec: Any
     """MjSpec with the sensors that the simulator reads; copied for every edit."""
     timestep: float
     driven: list[str]
+    """Joints with an actuator of their own."""
+    passive: list[str]
+    """Joints that others, or tendons, move."""
     actuator: dict[str, str]
     """Joint -> the actuator that drives it."""
     bodies: list[str]
@@ -34,7 +37,8 @@ class Context:
     """Whether the robot can touch anything static."""
     total_mass: float
     torque_range: dict[str, float]
-    """Largest torque of the drive by its own limit or the joint's, N m; the nominal peak where there is none."""
+    """Largest torque of the drive by its own limit or the joint's, N m; the nominal peak where there is none. Of a
+    joint without a drive: of what moves it, by its apparent inertia."""
     inertia: dict[str, float]
     """Apparent inertia of the joint in its first pose, kg m^2."""
     peak_torque: dict[str, float] = field(default_factory=dict)
@@ -168,17 +172,19 @@ def build_context(case: Case) -> Context:
     mujoco.mj_forward(model, data)
     full = np.zeros((model.nv, model.nv))
     _full_mass(model, data, full)
-    inertia, limit = {}, {}
-    for joint, name in actuator.items():
+    inertia, limit = {}, dict.fromkeys(case.joint_names, 0.0)
+    for joint in case.joint_names:
         dof = model.joint(joint).dofadr[0]
         inertia[joint] = float(max(full[dof, dof], 1e-9))
+    for joint, name in actuator.items():
         i = model.actuator(name).id
         tops = [abs(case.gear(joint)) * model.actuator_forcerange[i]] if model.actuator_forcelimited[i] else []
         if model.jnt_actfrclimited[model.joint(joint).id]:
             tops.append(model.jnt_actfrcrange[model.joint(joint).id])
         limit[joint] = min((t for t in (float(np.abs(ends).max()) for ends in tops) if t > 0), default=0.0)
+    passive = [j for j in case.joint_names if j not in actuator]
     return Context(
-        case, instrumented(case), float(model.opt.timestep), list(actuator), actuator, bodies,
+        case, instrumented(case), float(model.opt.timestep), list(actuator), passive, actuator, bodies,
         terrain if touches else [], touches, total, limit, inertia,
     )  # fmt: skip
 
@@ -198,6 +204,10 @@ def instrumented(case: Case) -> Any:
     for joint in case.joint_names:
         spec.add_sensor(name=f"rs_pos_{joint}", type=kind.mjSENS_JOINTPOS, objtype=obj.mjOBJ_JOINT, objname=joint)
         spec.add_sensor(name=f"rs_vel_{joint}", type=kind.mjSENS_JOINTVEL, objtype=obj.mjOBJ_JOINT, objname=joint)
+        if case.actuator_of(joint) is None:  # a tendon may move it
+            spec.add_sensor(
+                name=f"rs_push_{joint}", type=kind.mjSENS_JOINTACTFRC, objtype=obj.mjOBJ_JOINT, objname=joint
+            )
     for name in case.actuator_names:
         spec.add_sensor(name=f"rs_force_{name}", type=kind.mjSENS_ACTUATORFRC, objtype=obj.mjOBJ_ACTUATOR, objname=name)
     if case.floating:
@@ -219,10 +229,11 @@ def base_body(case: Case) -> int:
 def measure(context: Context, tracks: list[dict[str, F64]]) -> None:
     """Fill in how hard the nominal simulator works. `tracks`: a dict a run with pos, vel, torque of (T, J)."""
     for j, joint in enumerate(context.case.joint_names):
-        if joint not in context.actuator:
-            continue
         vel = np.concatenate([t["vel"][:, j] for t in tracks])
         tau = np.concatenate([t["torque"][:, j] for t in tracks])
+        if joint in context.passive:
+            steps = [np.gradient(t["vel"][:, j], context.timestep) for t in tracks]
+            tau = np.abs(tau) + context.inertia[joint] * np.abs(np.concatenate(steps))
         good = np.isfinite(vel) & np.isfinite(tau)
         vel, tau = vel[good], tau[good]
         peak = float(np.abs(tau).max(initial=1e-9))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,8 @@ from realsim.gap.simulation.simulate import Channel, measured
 
 CORRELATION = 20.0
 """Unmodelled detail is correlated over some tenths of a second: that many bins count as one."""
+LONG_PART = 400
+"""Bins of a part of a replay from which on its beginning does not matter to that."""
 CLOCK_SIGMA = 3e-4
 """Seconds: jitter of time stamps that nobody logs. Its error grows with the rate of a signal."""
 TOUCH_SIGMA = 3e-3
@@ -89,6 +92,7 @@ class Comparison:
         self.parted = self._part(nominal, known)
         """Run -> seconds from which robot and simulator have parted for good (a fall, a slip); left out from there."""
         self.version = 0
+        self._correlation = [np.full((len(times), 1), CORRELATION) for times in self.times]
         self._form: dict[int, F64] = {}
         self.set_detail([self.noise.detail for _ in case.runs])
 
@@ -146,6 +150,8 @@ class Comparison:
             there = S[rows].reshape(-1, S.shape[2])
             fit = np.linalg.pinv(root[rows].reshape(-1, 1) * there, rcond=1e-6) * root[rows].reshape(-1)
             self._free[run].append((rows, there, fit))
+            self._correlation[run][rows] = correlated(int(rows.sum()))
+        self.set_detail([self.noise.detail for _ in self.case.runs])
 
     def expect(self, run: int, slopes: F64, parts: NDArray[np.int64]) -> None:
         """Let something unknown act in each part, steadily and independently: what it explains counts for as little as
@@ -175,7 +181,7 @@ class Comparison:
         """Set the size of slow structure, (C,) or (B, C) a run, and with it the weights."""
         self.weights = []
         for i, d in enumerate(detail):
-            self.weights.append(1.0 / (self.variance(i) + CORRELATION * d**2))
+            self.weights.append(1.0 / (self.variance(i) + self._correlation[i] * d**2))
             self.weights[i][self._counts[i] == 0] = 0.0
         self.version += 1
 
@@ -253,6 +259,21 @@ class Comparison:
             values = values[np.isfinite(values)]
             detail.append(np.hypot(absolute, relative * float(np.std(values)) if len(values) else 0.0))
         return Noise(np.array(sensor), np.array(detail))
+
+
+@cache
+def correlated(bins: int) -> float:
+    """Bins of slow structure that count as one, in a part of a replay of so many whose first position and speed are
+    free: what they take over is no structure any more. Variance of the steady acceleration that least squares find in
+    first-order autoregressive noise, over that in white noise of the same size; at least 1."""
+    if bins >= LONG_PART:
+        return CORRELATION
+    t = np.arange(bins)
+    rho = (CORRELATION - 1) / (CORRELATION + 1)  # (1 + rho) / (1 - rho) samples count as one
+    free = np.vander(t / bins, 2)
+    shape = t**2.0 - free @ (np.linalg.pinv(free) @ t**2.0)
+    square = float(shape @ shape)
+    return max(float(shape @ rho ** np.abs(t[:, None] - t) @ shape) / square, 1.0) if bins > 2 else 1.0
 
 
 def _torque_steps(case: Case, run: Run, channels: Sequence[Channel]) -> F64:

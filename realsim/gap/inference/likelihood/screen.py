@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import zip_longest
 from typing import Any
 
@@ -27,6 +27,9 @@ from realsim.gap.inference.likelihood.comparison import Comparison
 from realsim.gap.inference.likelihood.linear import Evidence, Spectrum, scaled
 from realsim.gap.simulation.cores import Recent
 from realsim.gap.simulation.simulate import Setting, Simulator
+
+SLIDING = {"N m": "N", "N m s/rad": "N s/m", "kg m^2": "kg", "rad": "m", "rad/s": "m/s"}
+"""Unit of a parameter at a joint that turns -> at one that slides."""
 
 
 @dataclass(frozen=True)
@@ -440,7 +443,9 @@ class Screen:
             places = [p for p in effect.places(context) if (name, p) in felt]
             groups: list[tuple[Place, ...]] = [(p,) for p in places]
             if effect.scope == "joint" and len(places) > 1:
-                groups += [tuple((j,) for j in g) for g in like_joints([p[0] for p in places])]
+                for slides in (False, True):  # no value in N m is one in N
+                    sort = [p[0] for p in places if context.case.slides(p[0]) is slides]
+                    groups += [tuple((j,) for j in g) for g in like_joints(sort)]
             elif effect.scope == "terrain" and len(places) > 1:
                 groups.append(tuple(places))
             for group in groups:
@@ -455,6 +460,8 @@ class Screen:
             p.name: p for p in effect.parameters(self.simulator.context, tuple(n for place in group for n in place))
         }
         parameters = tuple(every[name] for name in variant or every)
+        if effect.scope == "joint" and self.simulator.case.slides(group[0][0]):
+            parameters = tuple(replace(p, unit=SLIDING.get(p.unit, p.unit)) for p in parameters)
         directions, linear = [], []
         for p in parameters:
             column = np.zeros(len(self.atoms))
