@@ -194,6 +194,19 @@ WRIST = _mjcf(
                       pos="0.08 0 0"), pos="0.07 0 0"), pos="0 0 0.8"),
     _servo("roll", 60, 1.6, 9) + _servo("pitch", 60, 1.6, 9) + _servo("turn", 25, 0.6, 4),
 )  # fmt: skip
+_TOUCHES = 'contype="1" conaffinity="1"'
+_WHEEL = f'<geom type="sphere" size="0.08" {_TOUCHES} friction="0.9 0.01 0.001"/>'
+ROVER = _mjcf(
+    f'<geom name="floor" type="plane" size="20 20 0.1" {_TOUCHES}/><body name="chassis" pos="0 0 0.08"><freejoint/>'
+    '<inertial pos="-0.03 0 0.06" mass="9" diaginertia="0.12 0.15 0.2"/>'
+    f'<geom type="sphere" size="0.03" pos="-0.22 0 -0.05" {_TOUCHES} friction="0.02 0.001 0.001"/>'
+    + _link("left_wheel", _joint("left", "0 1 0", 0.1, 0.05, 0.01), 0.6, "0 0 0", "0.001 0.002 0.001", _WHEEL,
+            pos="0 0.2 0")
+    + _link("right_wheel", _joint("right", "0 1 0", 0.1, 0.05, 0.01), 0.6, "0 0 0", "0.001 0.002 0.001", _WHEEL,
+            pos="0 -0.2 0") + "</body>",
+    '<velocity name="m_left" joint="left" kv="3" forcerange="-5 5"/>'
+    '<velocity name="m_right" joint="right" kv="3" forcerange="-5 5"/>',
+)  # fmt: skip
 
 ROBOTS = {
     "scara": Robot(SCARA, (0.2, -0.4, -0.05, 0), (0.7, 0.8, 0.06, 0.9)),
@@ -205,6 +218,7 @@ ROBOTS = {
     "turret": Robot(TURRET, (0, 0), (0.9, 0.5), "velocity", (2.0, 0)),
     "direct": Robot(DIRECT, (0.4, -0.8), (0.5, 0.6), "torque", (35, 1.2)),
     "crane": Robot(CRANE, (0, 0.1), (0.6, 0.25)),
+    "rover": Robot(ROVER, (0, 0), (3, 3), "velocity", (1.0, 0), "floating"),
     "wrist": Robot(WRIST, (0, 0.2, 0), (0.8, 0.6, 1.0)),
 }
 
@@ -325,6 +339,10 @@ CASES = {
                              log=Log(rate=50, tick=0.001)),
     "crane_load": Mistake("crane", "payload", _body("load", 0.6, (0, 0, -0.5)), ("link_inertia",), bodies=("load",),
                           log=Log(rate=50, tick=0.001)),
+    "rover_none": Mistake("rover"),
+    "rover_gain": Mistake("rover", "motor_gain", _drive("m_left", 0.5), ("damping_gain",), ("left",)),
+    "rover_friction": Mistake("rover", "coulomb_friction", _joints(["left", "right"], frictionloss=0.7),
+                              joints=("left", "right"), log=Log(rate=50)),
     "wrist_gravity": Mistake("wrist", "outside", _weightless),
     "wrist_kp": Mistake("wrist", "stiffness_gain", _drive("m_pitch", kp=0.6), ("motor_gain",), ("pitch",),
                         log=Log(gaps=(1.4, 3.0))),
@@ -343,7 +361,7 @@ def make(name: str, folder: Path) -> Path:
     robot, rng = ROBOTS[case.robot], np.random.default_rng(sum(map(ord, name)))
     spec = mujoco.MjSpec.from_string(robot.xml)
     nominal = spec.copy().compile()
-    joints = [nominal.joint(i).name for i in range(nominal.njnt)]
+    joints = [nominal.joint(i).name for i in range(nominal.njnt) if nominal.jnt_type[i] in (2, 3)]
     _scatter(spec, rng)
     case.change(spec)
     spec.option.timestep = FINE
@@ -420,6 +438,9 @@ def _run(
                 stamp = now + abs(rng.normal(0, 1e-4))
                 for name, value in (("time", stamp), ("command", command), ("joint_pos", read)):
                     kept[name].append(np.asarray(value))
+                if robot.base == "floating":  # by cameras
+                    kept.setdefault("base_pos", []).append(data.qpos[:3] + rng.normal(0, 1e-3, 3))
+                    kept.setdefault("base_quat", []).append(data.qpos[3:7] + rng.normal(0, 1e-3, 4))
         sent.append(command)
         data.ctrl[:] = sent[max(k - late, 0)] - (shift if robot.kind == "position" else 0.0)
         mujoco.mj_step(real, data)

@@ -99,12 +99,17 @@ def _alike(search: Search, nominal: Fit) -> tuple[Fit, list[Fit]]:
 
 def _in_order(screen: Screen, same: Sequence[Fit]) -> list[Fit]:
     """The lowest score first, those that imitate last; without laws that hold another one with a lower score as a
-    special case: they always fit as well."""
+    special case, which always fit as well. What holds another one as a special case comes after it: runs that were left
+    out need no more."""
     kept: list[Fit] = []
     for fit in sorted(same, key=lambda f: (imitates(f), score(screen, f))):
         if not any(_richer(fit, better) for better in kept):
             kept.append(fit)
-    return kept
+    order = list[Fit]()
+    for fit in kept:
+        plainer = [other for other in kept if _richer(fit, other)]
+        order += [f for f in (*plainer, fit) if all(f is not done for done in order)]
+    return order
 
 
 def _richer(fit: Fit, other: Fit) -> bool:
