@@ -101,7 +101,7 @@ def describe_cause(
     `probability` is null unless the search has a posterior: none is stated that was not calibrated.
     """
     effect = lookup(cause.candidate.effect)
-    parameters = {p.name: p for p in effect.parameters(simulator.context, cause.candidate.place)}
+    parameters = {p.name: p for p in cause.candidate.parameters}
     reported = {}
     for name, value, sigma in zip(cause.candidate.names, cause.values, sigmas, strict=True):
         p = parameters[name]

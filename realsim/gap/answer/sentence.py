@@ -106,7 +106,8 @@ def clause(cause: Cause) -> str:
     sized = {name: first} if thing else bare
     less = first["value"] < 0 and (thing or (words.sort == "amount" and len(bare) == 1))
     size = _size(sized, passing, -1 if less else 1)
-    if first["unit"] == "kg":
+    if first["unit"] == "kg" and thing:
+        size = "a mass" if size == NOT_DETERMINED else size
         return f"{'has' if less else 'lacks'} {size}{' too much' if less else ''}{place}{where}"
     if word := words.comparatives[0 if first["value"] < 0 else 1]:
         return f"should be {_size(sized, passing, -1 if first['value'] < 0 else 1)} {word}{place}"

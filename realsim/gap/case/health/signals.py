@@ -289,7 +289,7 @@ def initial_states(simulator: Simulator) -> tuple[dict[str, Any], Said]:
             said.append(
                 f"{run.name}: the run does not begin at rest: {case.joint_names[j]} moves at {speed[j]:.2g} rad/s{done}"
             )
-        elif start.moving and not start.anchors:
+        elif start.moving and not start.anchors and not run.goes_on:
             said.append(f"{run.name}: the run does not begin at rest{done}")
     parts = [
         float(length)
