@@ -11,7 +11,7 @@ import pytest
 
 from realsim.gap import DiagnoseConfig, load_case
 from realsim.gap.inference.likelihood.comparison import CORRELATION, Comparison, correlated
-from realsim.gap.simulation.simulate import Simulator
+from realsim.gap.simulation.simulate import Simulator, measured
 
 from .truth import Truth
 
@@ -23,7 +23,8 @@ def test_white_noise_counts_sample_by_sample(made: Callable[..., Path]) -> None:
         comparison = Comparison(case, simulator.channels, still, DiagnoseConfig(threads=1))
         comparison.set_detail([np.zeros(len(simulator.channels))] * len(case.runs))
         found = sum(float((w * comparison.noise.sensor**2).sum()) for w in comparison.weights)
-    assert found == pytest.approx(sum(len(r.time) for r in case.runs) * len(simulator.channels))
+    samples = sum(np.isfinite(measured(run, simulator.channels)).sum() for run in case.runs)
+    assert found == pytest.approx(samples)
 
 
 def test_correlated_noise_counts_as_in_the_known_formula() -> None:

@@ -75,6 +75,8 @@ class _Replay:
         grid = np.searchsorted(motion.time, np.arange(self.steps) * self.dt).clip(0, len(motion.time) - 1)
         self.logged = {name: values[grid] for name, values in tracks.items()}
         self.spread = np.maximum(self._coordinates(self.logged, 0).std(axis=0), 10 * SMALL)
+        travel = np.nanstd(np.concatenate([r.signals["joint_pos"] for r in case.runs]), axis=0)
+        self.spread[: len(travel)] = np.maximum(self.spread[: len(travel)], travel)  # a run may be one of standing
 
     @staticmethod
     def of(simulator: Simulator, run: Run, start: Start) -> _Replay | None:

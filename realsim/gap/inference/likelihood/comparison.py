@@ -169,6 +169,10 @@ class Comparison:
             basis, size, _ = np.linalg.svd(scale * S[rows].reshape(-1, S.shape[2]), full_matrices=False)
             back = np.divide(basis, scale, out=np.zeros(basis.shape), where=scale > 0)
             self._free[run].append((rows, back * (1 - 1 / np.sqrt(1 + size**2)), (scale * basis).T))
+        self._correlation[run][:] = (
+            CORRELATION  # answers to what is unknown are slow structure that no start takes over
+        )
+        self.set_detail([self.noise.detail for _ in self.case.runs])
 
     def _beside_starts(self, run: int, values: F64) -> F64:
         """(B, C) without what the states that the parts of the run begin in explain."""
