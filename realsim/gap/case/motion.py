@@ -167,9 +167,9 @@ def differences(column: F64, order: int) -> F64:
     return found
 
 
-LAGS, SHORTEST_LAG, FINE = np.arange(0.0, 0.1001, 0.002), 0.004, 0.005
-"""s of a filter that a drive may report its velocity through, the least that is told from noise, and s of a step that
-shows it."""
+LAGS, SHORTEST_LAG, FINE = np.arange(0.0, 0.1001, 0.002), 0.008, 0.005
+"""s of a filter that a drive may report its velocity through; the least that is told from noise, and from a simulator's
+own half step, by which its speeds are behind its positions; and s of a step that shows it."""
 FILTERED = 0.5
 """Share of the squared difference between velocities and slopes that a filter's lag must explain. Not tuned."""
 
