@@ -123,8 +123,8 @@ def limited(case: Case, config: DiagnoseConfig) -> Case:
             f"{len(steps)} gaps in time in {len(broken)} runs, the longest {steps.max():.2g} s: each stretch between "
             f"them is a run ({kept:.0%} of these runs)"
         )
-    added = tuple(part.name for name in case.added for part in parts[name])
-    case = replace(case, runs=tuple(part for of in parts.values() for part in of), added=added)
+    later = tuple(part.name for name in case.added for part in parts[name])
+    case = replace(case, runs=tuple(part for of in parts.values() for part in of), added=later)
     runs = [part for run in case.runs for part in aloft(case, run)]
     if [r.name for r in runs] != [r.name for r in case.runs]:
         notes.append("where the robot lies on the ground, which its model falls through, its runs are cut")
