@@ -14,13 +14,19 @@ def raycasting_scene(vertices: F64, triangles: NDArray[Any]) -> Any:
     """An Open3D `RaycastingScene` of a mesh, in the mesh's own coordinates."""
     import open3d
 
-    o3d: Any = open3d  # its stubs know neither numpy arrays nor keyword defaults
-    scene = o3d.t.geometry.RaycastingScene()
-    scene.add_triangles(
-        o3d.core.Tensor(np.ascontiguousarray(vertices, np.float32)),
-        o3d.core.Tensor(np.ascontiguousarray(triangles, np.uint32)),
-    )
+    scene: Any = open3d.t.geometry.RaycastingScene()  # its stubs know neither numpy arrays nor keyword defaults
+    add(scene, vertices, triangles)
     return scene
+
+
+def add(scene: Any, vertices: F64, triangles: NDArray[Any]) -> None:
+    """Another mesh for such a scene."""
+    from open3d.core import Tensor
+
+    scene.add_triangles(
+        Tensor.from_numpy(np.ascontiguousarray(vertices, np.float32)),
+        Tensor.from_numpy(np.ascontiguousarray(triangles, np.uint32)),
+    )
 
 
 class Rays:
@@ -43,15 +49,20 @@ class Rays:
         """First hits of rays (..., 3): (...) distance in units of the direction's length, infinity for none, and the
         triangle, -1 for none."""
         hit = self._scene.cast_rays(self._tensor(origins, directions))
-        triangle = hit["primitive_ids"].numpy().astype(np.int64)
-        triangle[triangle == self._scene.INVALID_ID] = -1
-        return hit["t_hit"].numpy().astype(np.float64), triangle
+        return hit["t_hit"].numpy().astype(np.float64), self._triangles(hit)
 
     def crossings(self, origins: F64, directions: F64) -> tuple[NDArray[np.int64], F64, NDArray[np.int64]]:
         """All hits of rays (N, 3), in no order: ray, distance and triangle, (M,) each."""
+        if not len(origins):  # Open3D crashes on no rays at all
+            return np.zeros(0, np.int64), np.zeros(0), np.zeros(0, np.int64)
         hits = self._scene.list_intersections(self._tensor(origins, directions))
-        ray, triangle = (hits[name].numpy().astype(np.int64) for name in ("ray_ids", "primitive_ids"))
-        return ray, hits["t_hit"].numpy().astype(np.float64), triangle
+        ray, t = hits["ray_ids"].numpy().astype(np.int64), hits["t_hit"].numpy().astype(np.float64)
+        return ray, t, self._triangles(hits)
+
+    def _triangles(self, hits: Any) -> NDArray[np.int64]:
+        """Those that were hit, -1 for none."""
+        triangle = hits["primitive_ids"].numpy().astype(np.int64)
+        return np.where(triangle == self._scene.INVALID_ID, -1, triangle)
 
     def height(self, xy: F64) -> F64:
         """(M,) highest z above each x y (M, 2), NaN where there is none."""
@@ -61,11 +72,18 @@ class Rays:
         return np.where(np.isfinite(t), above - t, np.nan)
 
     def distance(self, points: F64) -> F64:
-        """(M,) metres from points (M, 3) to the mesh."""
+        """(...) metres from points (..., 3) to the mesh."""
+        return np.asarray(self._scene.compute_distance(self._query(points)).numpy(), float)
+
+    def nearest(self, points: F64) -> F64:
+        """(..., 3) points of the mesh that are the nearest to points (..., 3)."""
+        near = self._scene.compute_closest_points(self._query(points))["points"].numpy()
+        return np.asarray(near, float) + self.centre
+
+    def _query(self, points: F64) -> Any:
         from open3d.core import Tensor
 
-        near = Tensor.from_numpy((points - self.centre).astype(np.float32))
-        return np.asarray(self._scene.compute_distance(near).numpy(), float)
+        return Tensor.from_numpy((points - self.centre).astype(np.float32))
 
 
 def heights(vertices: F64, triangles: NDArray[Any], low: ArrayLike, high: ArrayLike, cell: float) -> F64:

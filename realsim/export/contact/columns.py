@@ -113,7 +113,7 @@ def crossings(
     faces_up = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2] > 0
     start = np.column_stack([x, y, np.full(len(x), above)])
     rays = rays or Rays(mesh.vertices, mesh.triangles)
-    ray, t, triangle = rays.all_hits(start, np.broadcast_to([0.0, 0.0, -1.0], start.shape))
+    ray, t, triangle = rays.crossings(start, np.broadcast_to([0.0, 0.0, -1.0], start.shape))
     order = np.lexsort((t, ray))
     ray, z, triangle = ray[order], above - t[order], triangle[order]
     up, seen = faces_up[triangle], ~mesh.invented[triangle]

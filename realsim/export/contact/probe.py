@@ -187,14 +187,11 @@ class Reference:
 
     def distance(self, points: F64) -> F64:
         """(...) unsigned distance of points (..., 3) from the surface."""
-        query = self._rays.tensor(points - self._rays.centre)
-        return self._rays.scene.compute_distance(query).numpy().astype(np.float64)
+        return self._rays.distance(points)
 
     def normals(self, points: F64) -> F64:
         """(M, 3) unit direction from the nearest surface point to each of the points."""
-        query = self._rays.tensor(points - self._rays.centre)
-        near = self._rays.scene.compute_closest_points(query)["points"].numpy().astype(np.float64) + self._rays.centre
-        away = points - near
+        away = points - self._rays.nearest(points)
         return away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
 
     def top(self, xy: F64, below: F64 | None = None) -> F64:
@@ -215,7 +212,7 @@ class Reference:
         _, triangle = self._rays.cast(points, up)
         inside = (triangle >= 0) & self.up[triangle]
         below = np.flatnonzero((triangle >= 0) & ~inside)
-        ray, _, triangle = self._rays.all_hits(points[below], up[below])
+        ray, _, triangle = self._rays.crossings(points[below], up[below])
         ways_out = np.bincount(ray, weights=np.where(self.up[triangle], 1, -1), minlength=len(below))
         inside[below] = ways_out > 0
         return inside

@@ -7,14 +7,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from realsim.core import rays
 from realsim.core.meshes import compact, connected, faces_by_place
 
 F64 = NDArray[np.float64]
 MOST = 256  # pieces kept apart; of a scan's thousands of specks, the smaller ones share
 
 
-class Rays:
-    """Open3D's ray caster with every connected piece of a mesh for itself.
+class Rays(rays.Rays):
+    """A mesh under rays with every connected piece for itself.
 
     Of two faces of one geometry that a ray crosses at the same distance, Open3D lists one only, as it does where an
     edge is shared. Where a table's leg ends at the underside of its top, one of two faces that both count would be
@@ -22,45 +23,19 @@ class Rays:
     """
 
     def __init__(self, vertices: F64, triangles: NDArray[np.int32]) -> None:
-        import open3d
-
-        self._o3d: Any = open3d
-        self.centre = (vertices.min(0) + vertices.max(0)) / 2
-        """(3,) metres; Open3D computes in float32, near its origin."""
-        self.scene: Any = open3d.t.geometry.RaycastingScene()
         piece = pieces(vertices, triangles)
-        order = np.argsort(piece, kind="stable")
-        self._order = order
-        self._first = np.searchsorted(piece[order], np.arange(int(piece.max(initial=0)) + 1))
-        for begin, end in zip(self._first, [*self._first[1:], len(order)], strict=True):
-            points, faces = compact(vertices, triangles[order[begin:end]])
-            self.scene.add_triangles(
-                self.tensor(points - self.centre), self._o3d.core.Tensor(np.ascontiguousarray(faces, np.uint32))
-            )
+        self._order = np.argsort(piece, kind="stable")
+        self._first = np.searchsorted(piece[self._order], np.arange(int(piece.max(initial=0)) + 1))
+        first, *others = (triangles[part] for part in np.split(self._order, self._first[1:]))
+        super().__init__(vertices, first)
+        for faces in others:
+            rays.add(self._scene, *compact(vertices - self.centre, faces))
 
-    def tensor(self, values: F64) -> Any:
-        """The same numbers for Open3D."""
-        return self._o3d.core.Tensor(np.ascontiguousarray(values, np.float32))
-
-    def cast(self, origins: F64, ways: F64) -> tuple[F64, NDArray[np.int64]]:
-        """First hits of rays (N, 3), (N, 3): ((N,) metres, inf for none; (N,) triangle, -1 for none)."""
-        hit = self.scene.cast_rays(self.tensor(np.concatenate([origins - self.centre, ways], 1)))
-        t = hit["t_hit"].numpy().astype(np.float64)
-        return t, np.where(np.isfinite(t), self._triangle(hit, np.isfinite(t)), -1)
-
-    def all_hits(self, origins: F64, ways: F64) -> tuple[NDArray[np.int64], F64, NDArray[np.int64]]:
-        """All hits, in no order: (ray, metres, triangle), each (M,)."""
-        if not len(origins):  # Open3D crashes on no rays at all
-            return np.zeros(0, np.int64), np.zeros(0), np.zeros(0, np.int64)
-        hits = self.scene.list_intersections(self.tensor(np.concatenate([origins - self.centre, ways], 1)))
-        ray, t = hits["ray_ids"].numpy().astype(np.int64), hits["t_hit"].numpy().astype(np.float64)
-        return ray, t, self._triangle(hits, np.ones(len(ray), bool))
-
-    def _triangle(self, hits: Any, valid: NDArray[np.bool_]) -> NDArray[np.int64]:
-        """Index of the triangle in the mesh as it was given."""
-        of = np.where(valid, hits["geometry_ids"].numpy().astype(np.int64), 0)
-        within = np.where(valid, hits["primitive_ids"].numpy().astype(np.int64), 0)
-        return np.asarray(self._order[self._first[of] + within])
+    def _triangles(self, hits: Any) -> NDArray[np.int64]:
+        """Index in the mesh as it was given, -1 for none."""
+        within = super()._triangles(hits)
+        of = np.where(within < 0, 0, hits["geometry_ids"].numpy().astype(np.int64))
+        return np.where(within < 0, -1, self._order[self._first[of] + within])
 
 
 def pieces(vertices: F64, triangles: NDArray[np.int32]) -> NDArray[np.int64]:
