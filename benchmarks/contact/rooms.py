@@ -36,7 +36,7 @@ def corridor() -> TerrainMesh:
     things: list[Box] = [
         ((5, 1.75, 0), (6.6, 2.3, 0.45)),
         ((20, 1.8, 0), (21.5, 2.3, 0.8)),
-        ((25, 0, 0.1), (26.2, 0.12, 0.7)),
+        ((25, -0.1, 0.1), (26.2, 0.12, 0.7)),
         ((33, 10, 0), (33.5, 11.5, 1.9)),
         ((34.4, 14, 0), (34.8, 14.4, 0.45)),
         ((15.1, 6, 0), (15.6, 7.2, 0.75)),
@@ -48,7 +48,7 @@ def hall() -> TerrainMesh:
     """20 x 14 m and 4.5 m high with twelve pillars, benches, a platform of two steps and a passage, from a LiDAR."""
     air: list[Box] = [((0, 0, 0), (20, 14, 4.5)), ((19.9, 5, 0), (24, 8, 3.0))]
     things: list[Box] = [
-        ((5 * i + 2.3, 4 * j + 1.8, 0), (5 * i + 2.7, 4 * j + 2.2, 4.5)) for i in range(4) for j in range(3)
+        ((5 * i + 2.3, 4 * j + 1.8, 0), (5 * i + 2.7, 4 * j + 2.2, 4.7)) for i in range(4) for j in range(3)
     ]
     things += [((1 + 3 * k, 12.2, 0), (2.6 + 3 * k, 12.9, 0.45)) for k in range(6)]
     things += [((8, 6, 0), (10, 8, 0.15)), ((8.3, 6.3, 0), (9.7, 7.7, 0.3))]
@@ -58,28 +58,28 @@ def hall() -> TerrainMesh:
 def kitchen() -> TerrainMesh:
     """4.2 x 3.4 m: counters, wall units, a fridge, a table with four chairs, ten things on the counter."""
     things: list[Box] = [
-        ((0, 0, 0), (2.4, 0.6, 0.88)),
-        ((0, 0, 0.88), (2.4, 0.62, 0.91)),
-        ((0, 0, 1.45), (2.4, 0.35, 2.1)),
-        ((2.4, 0, 0), (3.0, 0.62, 1.9)),
-        ((0, 0.6, 0), (0.6, 2.4, 0.88)),
+        ((-0.1, -0.1, 0), (2.4, 0.6, 0.88)),
+        ((-0.1, -0.1, 0.84), (2.4, 0.62, 0.91)),
+        ((-0.1, -0.1, 1.45), (2.4, 0.35, 2.1)),
+        ((2.3, -0.1, 0), (3.0, 0.62, 1.9)),
+        ((-0.1, 0.5, 0), (0.6, 2.4, 0.88)),
     ]
     things += _table(2.0, 1.7, 1.3, 0.8, 0.74)
     for x, y in ((2.1, 1.2), (2.8, 1.2), (2.1, 2.6), (2.8, 2.6)):
         back = y + 0.36 if y > 2 else y
-        things += [*_table(x, y, 0.4, 0.4, 0.45), ((x, back, 0.45), (x + 0.4, back + 0.04, 0.9))]
+        things += [*_table(x, y, 0.4, 0.4, 0.45), ((x, back, 0.4), (x + 0.4, back + 0.04, 0.9))]
     rng = np.random.default_rng(3)
     for _ in range(10):
         x, y = rng.uniform([0.1, 0.1], [2.0, 0.4])
         a, b, c = rng.uniform(0.05, 0.2, 3)
-        things.append(((x, y, 0.91), (x + a, y + b, 0.91 + c)))
+        things.append(((x, y, 0.8), (x + a, y + b, 0.91 + c)))
     return _made([((0, 0, 0), (4.2, 3.4, 2.5))], things, voxel=0.02, uneven=0.005, noise=0.005, seed=3, seen=0.97)
 
 
 def closet() -> TerrainMesh:
     """2 x 1.5 m with a chest, for tests."""
     air: Box = ((0, 0, 0), (2, 1.5, 2.4))
-    return _made([air], [((0, 0, 0), (0.6, 1.5, 0.5))], voxel=0.03, uneven=0.004, noise=0.006, seed=4, seen=0.98)
+    return _made([air], [((-0.1, -0.1, 0), (0.6, 1.6, 0.5))], voxel=0.03, uneven=0.004, noise=0.006, seed=4, seen=0.98)
 
 
 LARGE: dict[str, Callable[[], TerrainMesh]] = {
@@ -108,6 +108,8 @@ def _made(
     from skimage.measure import marching_cubes
 
     air = list(air)
+    # Where two solids only touch, the noise would open caves that nobody sees; things go into the floor.
+    things = [((x, y, z or -0.3), upper) for (x, y, z), upper in things]
     corners = np.array(air)
     lower, upper = corners[:, 0].min(0) - 4 * voxel, corners[:, 1].max(0) + 4 * voxel
     axes = [np.arange(low, high + voxel, voxel, dtype=np.float32) for low, high in zip(lower, upper, strict=True)]
