@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.export.contact.leaks import count_leaks
-from realsim.export.contact.probe import BALL, BALL_RADIUS, Probe, Reference, SimTouch, first_touch
+from realsim.export.contact.probe import BALL, BALL_RADIUS, CEILING, Probe, Reference, SimTouch, first_touch
 from realsim.export.contact.sides import side_figures
 
 F64 = NDArray[np.float64]
@@ -152,7 +152,7 @@ def measure(
     lowered = _where_seen(lowered, reference, ground_z)
     tick(0.2)
     pushed = ball.push(region, probes // 4, rng)
-    figures = _ball_figures(lowered, cell, over_gaps(lowered, reference)) | {"pushed": _summary(pushed.error)}
+    figures = _ball_figures(lowered, cell, over_gaps(lowered, reference, noise)) | {"pushed": _summary(pushed.error)}
     tick(0.4)
     if feet:
         foot = _Compare(spec, reference, g1_foot(), batch=128)
@@ -189,13 +189,15 @@ class _Compare:
         return self.reference.clearance(self.probe, positions, quats)
 
     def lower(self, xy: F64, quats: F64, region: Region) -> Touches:
-        """From above everything, or from below a ceiling, straight down; not where a ceiling leaves no room. Beside a
-        ceiling (a hole in it, the end of its walls) too: nothing comes from above it."""
+        """From above everything, or from below a ceiling, straight down; not where that leaves no room, nor where all
+        that is below is too high to step on. Beside a ceiling (a hole in it, the end of its walls) too: nothing comes
+        from above it."""
         highest = region.top + self.reach + 0.05
         above = self.reference.start_above(xy, region.bottom)
         above = np.minimum(above, lowest_near(xy, above))
         z = np.minimum(above - self.reach - 0.05, highest)
-        free = (z == highest) | (z - self.reach > np.nan_to_num(self.reference.top(xy, z), nan=-np.inf) + 0.01)
+        below = np.nan_to_num(self.reference.top(xy, z), nan=-np.inf)
+        free = (z == highest) | (below < np.minimum(z - self.reach - 0.01, region.bottom + CEILING))
         start, quats = np.column_stack([xy, z])[free], quats[free]
         down = np.broadcast_to([0.0, 0.0, -1.0], start.shape)
         return self.move(start, quats, down, region.top - region.bottom + 2 * self.reach + 0.3)
@@ -250,10 +252,11 @@ def _where_seen(touches: Touches, reference: Reference, ground_z: float) -> Touc
     return replace(touches, error=np.where(out, np.nan, touches.error), along=np.where(out, np.nan, touches.along))
 
 
-def over_gaps(touches: Touches, reference: Reference) -> NDArray[np.bool_]:
+def over_gaps(touches: Touches, reference: Reference, noise: float = 0.0) -> NDArray[np.bool_]:
     """(N,) where a lowered ball rests on a phantom over a gap that takes a foot: more than EDGE from any surface, and
-    all of the reference within half a foot's width lies more than EDGE lower."""
-    found = np.flatnonzero(touches.error > EDGE)
+    all of the reference within half a foot's width lies more than EDGE lower, and the `noise` (metres) that it has."""
+    deep = EDGE + noise
+    found = np.flatnonzero(touches.error > deep)
     turn = np.arange(12) * np.pi / 6
     ring = np.column_stack([np.cos(turn), np.sin(turn)])
     offsets = np.concatenate([np.zeros((1, 2)), HALF_FOOT / 2 * ring, HALF_FOOT * ring])
@@ -261,7 +264,7 @@ def over_gaps(touches: Touches, reference: Reference) -> NDArray[np.bool_]:
     below = np.repeat(touches.start[found, 2], len(offsets))
     highest = np.nan_to_num(reference.top(around, below), nan=-np.inf).reshape(-1, len(offsets)).max(1, initial=-np.inf)
     out = np.zeros(len(touches.error), bool)
-    out[found] = highest < touches.at[found, 2] - BALL_RADIUS - EDGE
+    out[found] = highest < touches.at[found, 2] - BALL_RADIUS - deep
     return out
 
 

@@ -49,7 +49,7 @@ def count_leaks(
     top = float(reference.vertices[:, 2].max())
     xy = np.array([rng.uniform(lower, upper) for _ in range(objects)])
     begin = np.minimum(reference.start_above(xy, ground_z) - 2 * RADIUS, top + 0.05)
-    begin = np.fmin(begin, reference.top(xy, begin) + FALL)
+    begin = np.minimum(begin, np.nan_to_num(reference.top(xy, begin), nan=ground_z) + FALL)
     for place, z in zip(xy, begin, strict=True):
         body = spec.worldbody.add_body(pos=[*place, z])
         body.add_freejoint()

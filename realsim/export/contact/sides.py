@@ -37,6 +37,7 @@ def side_figures(
     A place is free if it is in no solid, straight below it is a seen face that faces up, and nothing was seen within
     5 cm. Rays that meet the front of a seen side face within REACH count, unless they meet something invented before:
     the back of an obstacle that no camera saw is not free air because a ray that ignores it sees what stands beyond.
+    What is not as high as a ball of 1 cm there, a facet of rolling ground, is no side face.
 
     A ray that misses an edge by millimetres may be stopped at it: early is what stops it more than WITHIN from any
     seen surface. Through is what lets it go on for more than WITHIN.
@@ -56,6 +57,9 @@ def side_figures(
     hit, cosine, normal = surface.cast(starts, ways)
     met = (hit < REACH) & (cosine < 0) & (np.abs(normal[:, 2]) < UPRIGHT)
     met &= reference.cast(starts, ways)[0] >= hit - 1e-6
+    for beside in (-BALL_RADIUS, BALL_RADIUS):
+        along = surface.cast(starts + np.array([0.0, 0.0, beside]), ways)[0]
+        met[met] = np.abs(along[met] - hit[met]) <= WITHIN
     starts, ways, height, hit = starts[met], ways[met], height[met], hit[met]
     out: dict[str, Any] = {"rays": len(hit), "stopped": None, "through": None, "early": None}
     if len(hit) < ENOUGH:
