@@ -57,6 +57,24 @@ def merged(
     return np.vstack([V for V, _ in parts]), np.vstack([F + o for (_, F), o in zip(parts, offsets[:-1], strict=True)])
 
 
+def height_field(model: Any, field: int, apart: int = 1) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """(V, 3) and (K, 3) of a height field of a `MjModel` about its geom's place: every cell is cut, as MuJoCo does it,
+    from its lower left to its upper right corner.
+
+    Args:
+        apart: nodes from one that is taken to the next; the last of a row or column is one.
+    """
+    shape = model.hfield_nrow[field], model.hfield_ncol[field]
+    start, (rx, ry, elevation, _) = model.hfield_adr[field], model.hfield_size[field]
+    z = model.hfield_data[start : start + shape[0] * shape[1]].reshape(shape).astype(float) * elevation
+    row, column = (np.unique([*range(0, n, apart), n - 1]) for n in shape)
+    x, y = np.meshgrid(np.linspace(-rx, rx, shape[1])[column], np.linspace(-ry, ry, shape[0])[row])
+    a = (np.arange(len(row) - 1)[:, None] * len(column) + np.arange(len(column) - 1)).ravel()
+    b, c, d = a + 1, a + len(column), a + len(column) + 1
+    faces = np.concatenate([np.stack([a, b, d], 1), np.stack([a, d, c], 1)])
+    return np.column_stack([x.ravel(), y.ravel(), z[np.ix_(row, column)].ravel()]), faces.astype(np.int32)
+
+
 def faces_by_place(vertices: NDArray[Any], triangles: NDArray[Any]) -> NDArray[np.int64]:
     """(K, 3) triangles over vertices of which there is one a place (0.1 micrometres): files that list the corners of
     every triangle (STL) have one a corner."""

@@ -13,6 +13,10 @@ from realsim.export.contact.base import ContactModel, Geom
 
 VISUAL_GROUP, COLLISION_GROUP = 2, 3
 DRAWN_BELOW = 0.03  # metres
+HFIELD_CONTACT = {"solref": "0.01 1", "solmix": "1000000"}
+"""Of a height field's geom. MuJoCo collides it as prisms of one cell: what sinks half a cell deep is pushed out at
+their sides, into the next one, and never gets out. With the usual 0.02 s, 93 and 114 of 150 balls dropped from half a
+metre onto a smooth and a rough terrain of 10 m stay inside (cells of 2 cm; 54 and 61 of 10 cm); with this, none."""
 
 
 def scene_xml(
@@ -134,6 +138,8 @@ def _geom(geom: Geom) -> dict[str, str]:
         out["size"] = numbers(geom.size)
     if geom.asset is not None:
         out["hfield" if geom.type == "hfield" else "mesh"] = geom.asset
+    if geom.type == "hfield":
+        out |= HFIELD_CONTACT
     if geom.visible and geom.type != "plane":
         return out | {"material": "floor", "group": "0"}
     return out | {"rgba": "0.35 0.55 0.8 1", "group": str(COLLISION_GROUP)}

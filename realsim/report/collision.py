@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from realsim.core.meshes import across, merged
+from realsim.core.meshes import across, height_field, merged
 from realsim.core.types import F64
 from realsim.report.solids import Solid, box, mesh, solids
 
@@ -25,7 +25,7 @@ def collision_parts(model: Any) -> list[tuple[Solid, bool]]:
     import mujoco
 
     kinds = mujoco.mjtGeom
-    draw = {kinds.mjGEOM_BOX: box, kinds.mjGEOM_MESH: mesh, kinds.mjGEOM_SDF: mesh, kinds.mjGEOM_HFIELD: _height_field}
+    draw = {kinds.mjGEOM_BOX: box, kinds.mjGEOM_MESH: mesh, kinds.mjGEOM_SDF: mesh, kinds.mjGEOM_HFIELD: _hfield}
     parts = []
     for g in range(model.ngeom):
         solid = model.geom_contype[g] or model.geom_conaffinity[g]
@@ -72,23 +72,11 @@ def sharp_edges(V: F64, F: Any, degrees: float = 20.0) -> Any:
     return edges[~second & ~flat]
 
 
-def _height_field(model: Any, g: int) -> Solid:
-    h = model.geom_dataid[g]
-    rows, columns = int(model.hfield_nrow[h]), int(model.hfield_ncol[h])
-    sx, sy, top, _ = model.hfield_size[h]
-    at = model.hfield_adr[h]
-    z = model.hfield_data[at : at + rows * columns].reshape(rows, columns) * top
-    X, Y = np.meshgrid(np.linspace(-sx, sx, columns), np.linspace(-sy, sy, rows))
-    index = np.arange(rows * columns).reshape(rows, columns)
-    a, b, c, d = (index[i, j].ravel() for i, j in _CORNERS)
-    # MuJoCo cuts every cell from its lower left to its upper right corner.
-    F = np.vstack([np.column_stack([a, b, d]), np.column_stack([a, d, c])])
-    return np.column_stack([X.ravel(), Y.ravel(), z.ravel()]).astype(float), F
+DRAWN_NODES = 200_000
+"""Of a height field, at most: ten times what is shown of it after it was simplified."""
 
 
-_CORNERS = (
-    (slice(None, -1), slice(None, -1)),
-    (slice(None, -1), slice(1, None)),
-    (slice(1, None), slice(None, -1)),
-    (slice(1, None), slice(1, None)),
-)
+def _hfield(model: Any, g: int) -> Solid:
+    field = model.geom_dataid[g]
+    nodes = int(model.hfield_nrow[field]) * int(model.hfield_ncol[field])
+    return height_field(model, field, max(1, round((nodes / DRAWN_NODES) ** 0.5)))

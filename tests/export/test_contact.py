@@ -8,7 +8,7 @@ import pytest
 import trimesh
 
 from realsim.core.errors import UnknownNameError
-from realsim.core.types import TerrainMesh
+from realsim.core.types import MeshQuality, TerrainMesh
 from realsim.export import CONTACT
 from realsim.export.config import SceneConfig
 from realsim.export.contact import cost
@@ -160,6 +160,19 @@ def test_a_height_field_turns_edges_into_ramps() -> None:
     f = fidelity(CONTACT["hfield"](Shape(mesh, 0.0), CONFIG), mesh, probes=900, feet=0)
     assert f["median_mm"] < 1
     assert f["drop"]["p95_mm"] > 10
+
+
+def test_nothing_sinks_into_a_height_field() -> None:
+    x, y = np.meshgrid(np.linspace(-2, 2, 61), np.linspace(-2, 2, 61))
+    index = np.arange(x.size).reshape(x.shape)
+    a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]))
+    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]).astype(np.int32)
+    points = np.stack([x, y, 0.2 * np.sin(2 * x) * np.cos(3 * y) + 0.2], -1).reshape(-1, 3)
+    quality = MeshQuality(len(points), len(faces), False, True, 0, 0, 1, None)
+    mesh = TerrainMesh(points, faces, None, np.zeros(len(faces), bool), quality, "made", 0.0)
+    f = fidelity(CONTACT["hfield"](Shape(mesh, 0.0), CONFIG), mesh, probes=900, feet=0)
+    assert f["leaks"] == 0
+    assert f["p95_mm"] < 1
 
 
 def test_convex_parts_of_an_overhang() -> None:

@@ -88,11 +88,18 @@ def test_overlapping_solids_are_one_interval() -> None:
 def test_segment_finds_the_planes_of_a_roof() -> None:
     rows, cols = np.indices((40, 60))
     z = 0.005 * np.minimum(cols, 59 - cols) * 0.5 + 0.001 * rows
-    labels, planes = segment(z, 0.005, 0.003)
+    found = segment(z, 0.005, 0.003)
+    assert found is not None
+    labels, planes = found
     assert len(planes) == 2
     assert (labels >= 0).all()
     fitted = np.where(labels == 0, heights(planes[0], z.shape), heights(planes[1], z.shape))
     np.testing.assert_allclose(fitted, z, atol=0.003)
+
+
+def test_rolling_ground_is_not_made_of_planes() -> None:
+    rows, cols = np.indices((600, 600)) * 0.01
+    assert segment(0.3 * np.sin(2 * cols) * np.cos(3 * rows), 0.01, 0.003) is None
 
 
 def test_spread_cuts_a_blurred_edge_half_way() -> None:

@@ -10,10 +10,16 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from realsim.core.errors import ExportError
+
 SEAM = 0.05
 """Metres by which boxes of a floor reach into each other: what falls fast sinks centimetres into a soft contact, and
 where two boxes only met, each would push it into the other."""
 IDENTITY = (1.0, 0.0, 0.0, 0.0)
+
+
+class UnsuitedError(ExportError):
+    """A representation cannot be made of this shape in reasonable time."""
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,7 @@ from realsim.core.meshes import areas, faces_by_place
 from realsim.core.progress import steps
 from realsim.core.types import TerrainMesh
 from realsim.export.config import SceneConfig
-from realsim.export.contact.base import ContactModel
-from realsim.export.contact.convex import TooManyColumnsError
+from realsim.export.contact.base import ContactModel, UnsuitedError
 from realsim.export.contact.cost import standing_place, step_cost
 from realsim.export.contact.fidelity import OFF, Fidelity, measure
 from realsim.export.contact.islands import FINE
@@ -26,6 +25,8 @@ from realsim.export.contact.shape import Shape, Solids
 
 # Cheapest first. `convex` takes a minute to build and is better than none of these, `sdf` costs a hundred planes.
 CANDIDATES = ("boxes", "hybrid", "sheets", "hfield")
+OF_CURVED = ("boxes", "hybrid", "hfield", "sheets")
+"""Those for what is not made of planes; of sheets it takes one for every place."""
 OF_COLUMNS = ("boxes", "hybrid", "hfield")
 """Those made of what is seen from above and below alone."""
 SIDES = 0.75
@@ -84,11 +85,14 @@ def fit_contact(
             mesh = replace(mesh, noise_m=noise, resolution=_mean_edge(mesh))
             shape = Shape(mesh, ground_z)  # of which no piece is exact
     with steps() as tick:
+        tick("looking for planes", 0.0)
+        if names == CANDIDATES and shape.curved:
+            names = OF_CURVED
         for name in names:
             tick(f"building {name}", 0.0)
             try:
                 contact = CONTACT[name](shape, config)
-            except TooManyColumnsError as error:
+            except UnsuitedError as error:
                 if config.contact != "auto":
                     raise
                 refused.append({"representation": name, "refused": error.found})

@@ -7,9 +7,8 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.core.errors import ExportError
 from realsim.export.config import SceneConfig
-from realsim.export.contact.base import Asset, ContactModel, Geom
+from realsim.export.contact.base import Asset, ContactModel, Geom, UnsuitedError
 from realsim.export.contact.islands import Island, Terrain
 from realsim.export.contact.shape import COARSE, Shape
 from realsim.export.contact.solids import island_solid
@@ -18,20 +17,16 @@ F64 = NDArray[np.float64]
 OVERLAP = 0.0005  # metres by which parts are grown, so that nothing slips between them
 
 
-class TooManyColumnsError(ExportError):
-    """The shape is too large to be decomposed in reasonable time."""
-
-
 def check_columns(whole: Terrain, islands: Iterable[Island], config: SceneConfig) -> None:
     """Refuse before the time is spent, by a count and not by a clock: the same input must give the same scene.
 
     Raises:
-        TooManyColumnsError: the islands have more than `config.convex_columns` columns.
+        UnsuitedError: the islands have more than `config.convex_columns` columns.
     """
     area = sum(int(np.isfinite(island.top).sum()) for island in islands) * whole.grid.cell**2
     count = round(area / COARSE**2)
     if count > config.convex_columns:
-        raise TooManyColumnsError(
+        raise UnsuitedError(
             "the terrain is too large for a convex decomposition",
             expected=f"at most {config.convex_columns} columns of {100 * COARSE:g} cm",
             found=f"{count}, {area:.2f} m^2 of curved surface",
@@ -45,7 +40,7 @@ def convex(shape: Shape, config: SceneConfig) -> ContactModel:
     CoACD: Wei, Liu, Ling, Su, SIGGRAPH 2022. Solids are closed beforehand from columns of 1 cm.
 
     Raises:
-        TooManyColumnsError: see `check_columns`.
+        UnsuitedError: see `check_columns`.
     """
     whole = shape.coarse
     check_columns(whole, whole.islands, config)

@@ -12,6 +12,7 @@ from realsim.export.contact.shape import Shape
 from realsim.export.heights import HeightGrid, height_grid
 
 BASE = 0.1  # metres of solid below the lowest node
+MOST_NODES = 4_000_000  # that `auto` takes: 100 MB in a scene, and half a gigabyte while they are made
 
 
 def hfield(shape: Shape, config: SceneConfig) -> ContactModel:
@@ -23,7 +24,9 @@ def hfield(shape: Shape, config: SceneConfig) -> ContactModel:
     8-bit image would round a 1 m terrain to 4 mm steps and turn the rows round.
     """
     mesh, ground_z = shape.mesh, shape.ground_z
-    grid = height_grid(mesh.vertices, mesh.triangles, config.hfield_resolution)
+    used = mesh.vertices[mesh.triangles].reshape(-1, 3)[:, :2]
+    most = float(np.sqrt(np.ptp(used, axis=0).prod() / MOST_NODES)) if config.contact == "auto" else 0.0
+    grid = height_grid(mesh.vertices, mesh.triangles, max(config.hfield_resolution, most))
     holes = np.isnan(grid.z)
     z = np.where(holes, ground_z, grid.z).astype(np.float32)
     lowest, highest = float(z.min()), float(z.max())
@@ -37,13 +40,12 @@ def hfield(shape: Shape, config: SceneConfig) -> ContactModel:
         "columns": int(z.shape[1]),
         "nodes_without_surface": int(holes.sum()),
     }
-    share = float(holes.mean())
-    warnings = (
-        (f"{share:.0%} of the collision height field had no surface above it and was taken to be ground",)
-        if share > 0.15
-        else ()
-    )
-    return ContactModel("hfield", (field, *floor_around(bounds[None], ground_z)), (asset,), statistics, warnings)
+    share, warnings = float(holes.mean()), []
+    if share > 0.15:
+        warnings.append(f"{share:.0%} of the collision height field had no surface above it and was taken to be ground")
+    if most > config.hfield_resolution:
+        warnings.append(f"the cells of the collision height field are {100 * most:.1f} cm, for so large a terrain")
+    return ContactModel("hfield", (field, *floor_around(bounds[None], ground_z)), (asset,), statistics, tuple(warnings))
 
 
 def hfield_bytes(z: NDArray[np.float32]) -> bytes:

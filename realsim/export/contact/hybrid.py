@@ -19,7 +19,7 @@ def hybrid(shape: Shape, config: SceneConfig) -> ContactModel:
     """Island by island whichever describes it: planes, or convex parts of its solid.
 
     Raises:
-        TooManyColumnsError: too much of the terrain is curved.
+        UnsuitedError: too much of the terrain is curved.
     """
     fine = shape.fine
     flat = [p.misfit <= fine.tolerance and len(p.prisms) <= MANY for p in shape.planar]

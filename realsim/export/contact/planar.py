@@ -37,7 +37,8 @@ class PlanarIsland:
     region: tuple[int, ...]
     """Which piece of the island, of one top and one underside, each prism is a part of."""
     misfit: float
-    """95th percentile of the distance between the island's top and its planes, metres; rounded edges do not count."""
+    """95th percentile of the distance between the island's top and its planes, metres; rounded edges do not count. inf
+    where it is not made of planes at all, and has no prisms."""
 
 
 @dataclass(frozen=True)
@@ -70,9 +71,12 @@ def planar(whole: Terrain, island: Island) -> PlanarIsland:
 
     z, under, base, cell = island.top, island.under, whole.base, whole.grid.cell
     inside = np.isfinite(z)
-    tops, top_planes = segment(z, cell, whole.tolerance, whole.narrowest)
     raised = inside & (under > base)
-    bottoms, bottom_planes = segment(np.where(raised, under, np.nan), cell, whole.tolerance, whole.narrowest)
+    upper = segment(z, cell, whole.tolerance, whole.narrowest)
+    lower = upper and segment(np.where(raised, under, np.nan), cell, whole.tolerance, whole.narrowest)
+    if not upper or not lower:
+        return PlanarIsland((), (), np.inf)
+    (tops, top_planes), (bottoms, bottom_planes) = upper, lower
     # Plane 0 of the undersides is the ground.
     bottoms = np.where(raised, np.where(bottoms >= 0, bottoms + 1, -1), np.where(inside, 0, -1))
     bottom_planes = np.concatenate([[[0.0, 0.0, base]], bottom_planes])

@@ -13,10 +13,11 @@ Window = tuple[slice, slice]
 Misfit = Callable[..., F64]
 WINDOWS = (5, 3)  # cells a side over which a cell's own plane is fitted; the small one for narrow faces
 MOST_SEEDS = 250  # places tried for a plane: a surface that needs more is not made of planes, and each costs a pass
+FIRST, HOLD = 20, 0.5  # places after which it is foreseen whether all MOST_SEEDS of them would hold this share of it
 SMALLEST = 12  # cells: what is smaller is not worth a plane
 
 
-def segment(z: F64, cell: float, tolerance: float, narrowest: int = 1) -> tuple[I64, F64]:
+def segment(z: F64, cell: float, tolerance: float, narrowest: int = 1) -> tuple[I64, F64] | None:
     """Grow planes over a height image until none fits what is left, or `MOST_SEEDS` places were tried.
 
     The widest smooth place not yet taken is the next seed; its plane takes what is connected to it and lies within
@@ -29,13 +30,13 @@ def segment(z: F64, cell: float, tolerance: float, narrowest: int = 1) -> tuple[
         narrowest: cells; what is narrower is an edge rounded by the mesh, and no face of its own.
 
     Returns:
-        (rows, columns) index of the plane or -1, and (P, 3) planes a b c with z = a column + b row + c (in cells).
+        (rows, columns) index of the plane or -1, and (P, 3) planes a b c with z = a column + b row + c (in cells); None
+        of a surface that is not made of planes.
     """
-
     labels = np.full(z.shape, -1)
     planes: list[F64] = []
     free = np.isfinite(z)
-    tried = 0
+    tried, took, wanted = 0, 0, HOLD * free.sum()
     for window in WINDOWS:
         smooth = free & (_roughness(np.where(free, z, np.nan), cell, window) < tolerance / 2)
         depth = _depth(smooth)
@@ -48,6 +49,9 @@ def segment(z: F64, cell: float, tolerance: float, narrowest: int = 1) -> tuple[
                 a, b, c = plane
                 planes.append(np.array([a, b, c - a * part[1].start - b * part[0].start]))
                 free[part] &= ~taken
+                took += int(taken.sum())
+            if tried >= FIRST and took * MOST_SEEDS < wanted * tried:  # the widest places are tried first
+                return None
             smooth[part] &= ~taken  # whether it became a plane or not, it is no seed any more
             smooth[seed[0]] = False
             _shallower(depth, smooth, part)
@@ -95,16 +99,25 @@ def _grown(
 ) -> tuple[Window, NDArray[np.bool_]]:
     """(window of the image, mask in it) of what a plane takes about a seed.
 
-    The window is widened until nothing reaches its rim, so that the result is that of the whole image. Most planes of
+    It starts from the largest square about the seed, its side doubled up to `reach`, that is planar as a whole. The
+    window is widened until nothing reaches its rim, so that the result is that of the whole image. Most planes of
     clutter are small, and looking at all of the image for each of them takes far longer.
     """
-    wide = 2 * reach + 8
+    side = 1
+    for wider in (reach >> k for k in range(reach.bit_length() - 2, -1, -1)):
+        square = _square(seed, wider)
+        near = free[square]
+        if _off(z[square], _fit(z[square], near), cell)[near].max() >= tolerance:
+            break
+        side = wider
+    wide = 2 * side + 8
     while True:
         low = np.maximum(np.subtract(seed, wide), 0)
         high = np.minimum(np.add(seed, wide + 1), z.shape)
         window = slice(low[0], high[0]), slice(low[1], high[1])
         place = (int(seed[0] - low[0]), int(seed[1] - low[1]))
-        start = _patch(z[window], free[window], place, reach, cell, tolerance)
+        start = np.zeros(high - low, bool)
+        start[_square(place, side)] = free[_square(seed, side)]
         rim = np.ones(high - low, bool)  # where the image goes on beyond the window
         rim[tuple(slice(int(a > 0), b - a - int(b < n)) for a, b, n in zip(low, high, z.shape, strict=True))] = False
         taken = _grow(z[window], free[window], start, place, cell, tolerance, rim)
@@ -113,22 +126,16 @@ def _grown(
         wide *= 2
 
 
+def _square(middle: tuple[int, int], side: int) -> Window:
+    """Window of the cells at most `side` from one."""
+    row, column = (slice(max(at - side, 0), at + side + 1) for at in middle)
+    return row, column
+
+
 def from_corner(plane: F64, window: Window) -> F64:
     """A plane of the image, in cells counted from the corner of a window."""
     a, b, c = plane
     return np.array([a, b, c + a * window[1].start + b * window[0].start])
-
-
-def _patch(
-    z: F64, free: NDArray[np.bool_], seed: tuple[int, int], reach: int, cell: float, tolerance: float
-) -> NDArray[np.bool_]:
-    """The largest square about the seed, from `reach` halving down, that is planar as a whole."""
-    rows, columns = np.indices(z.shape)
-    while True:
-        near = free & (np.abs(rows - seed[0]) <= reach) & (np.abs(columns - seed[1]) <= reach)
-        if reach <= 1 or _off(z, _fit(z, near), cell)[near].max() < tolerance:
-            return near
-        reach //= 2
 
 
 def _grow(

@@ -29,7 +29,8 @@ class Rays(rays.Rays):
         first, *others = (triangles[part] for part in np.split(self._order, self._first[1:]))
         super().__init__(vertices, first)
         for faces in others:
-            rays.add(self._scene, *compact(vertices - self.centre, faces))
+            points, corners = compact(vertices - self.centre, faces)
+            rays.add(self._scene, points, corners)
 
     def _triangles(self, hits: Any) -> NDArray[np.int64]:
         """Index in the mesh as it was given, -1 for none."""

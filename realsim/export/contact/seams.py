@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from realsim.core.progress import track
 from realsim.export.contact.base import Asset, ContactModel, Geom
 from realsim.export.contact.merge import ADDS, Neighbours, Whole, merged
 from realsim.export.contact.outline import hull
@@ -53,7 +54,7 @@ def overlap(contact: ContactModel, tolerance: float = 0.0) -> ContactModel:
     named = [name for name, part in zip(named, fewer, strict=True) if part is not None]
     parts = [part for part in fewer if part is not None]
     near = Neighbours(parts)
-    for i in range(len(parts)):
+    for i in track(range(len(parts)), "closing seams"):
         for old in parts[i].faces:
             face = parts[i].face_like(old)  # growing across one face makes those beside it longer
             grown = None if face is None else _grown(parts, near, whole, i, face)

@@ -115,6 +115,11 @@ class Shape:
         """Prisms of every island of `fine`."""
         return tuple(self.planar_of(n) for n in range(len(self.fine.islands)))
 
+    @property
+    def curved(self) -> bool:
+        """Whether a part of it is not made of planes."""
+        return any(np.isinf(found.misfit) for found in self.planar)
+
     def planar_of(self, n: int) -> PlanarIsland:
         """Those of one island."""
         if n not in self._planar:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from realsim.core.progress import track
 from realsim.export.config import SceneConfig
 from realsim.export.contact.base import ContactModel, Geom
 from realsim.export.contact.columns import SHEET
@@ -139,7 +140,8 @@ def _carriers(
     found = patches(samples, tolerance)
     made: list[tuple[Patch, Slab]] = []
     parts: list[Polytope] = []
-    for k in np.argsort([-samples.area[patch.index].sum() for patch in found], kind="stable"):
+    order = np.argsort([-samples.area[patch.index].sum() for patch in found], kind="stable")
+    for k in track(order, "building sheets"):
         left = samples.points[found[k].index]
         if tolerance > FELT:  # where there is less noise, each small face is one of its own
             left = left[~_felt(left, [], floor, near)]

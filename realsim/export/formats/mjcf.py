@@ -13,7 +13,7 @@ from realsim.core.errors import ExportError
 from realsim.core.files import explain_write_errors, to_json, write_text
 from realsim.core.geometry import R_to_quat
 from realsim.export.formats.scene import SceneOnDisk
-from realsim.export.mjcf import numbers
+from realsim.export.mjcf import HFIELD_CONTACT, numbers
 
 
 def mjcf(scene: SceneOnDisk, folder: Path) -> list[Path]:
@@ -67,7 +67,8 @@ def _height_field(asset: ET.Element, world: ET.Element, scene: SceneOnDisk, name
     rows = (z - low[2]).reshape(-1, columns)[::-1]
     ET.SubElement(asset, "hfield", {"name": name, **shape, "elevation": numbers(rows.ravel())})
     centre = [*((low + high)[:2] / 2), low[2]]
-    ET.SubElement(world, "geom", {"name": name, "type": "hfield", "hfield": name, "pos": numbers(centre), **bits})
+    geom = {"name": name, "type": "hfield", "hfield": name, "pos": numbers(centre), **HFIELD_CONTACT, **bits}
+    ET.SubElement(world, "geom", geom)
 
 
 def _advice(text: str, scene: SceneOnDisk) -> dict[str, Any]:

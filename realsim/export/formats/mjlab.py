@@ -57,7 +57,9 @@ class ScannedTerrainCfg(SubTerrainCfg):
       name = f"realsim_{len(spec.hfields)}"
       z = np.array(field["z"])
       spec.add_hfield(name=name, nrow=z.shape[0], ncol=z.shape[1], size=field["size"], userdata=z.ravel())
-      made.append(body.add_geom(type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname=name, pos=middle + field["pos"]))
+      geom = body.add_geom(type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname=name, pos=middle + field["pos"])
+      geom.solref[0], geom.solmix = 0.01, 1e6  # what sinks half a cell deep into a height field never gets out
+      made.append(geom)
     return TerrainOutput(middle + SCENE["origin"], [TerrainGeometry(geom=geom) for geom in made])
 '''
 

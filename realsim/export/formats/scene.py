@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from realsim.core.errors import ExportError
 from realsim.core.files import check_size
-from realsim.core.meshes import across, merged
+from realsim.core.meshes import across, height_field, merged
 from realsim.core.mjcf import check_mjcf
 
 T = TypeVar("T")
@@ -168,7 +168,8 @@ def _collision(model: Any, data: Any) -> tuple[tuple[Box, ...], tuple[Convex, ..
         elif kind == mjtGeom.mjGEOM_BOX:
             boxes.append(Box(name, position, rotation, model.geom_size[g].copy()))
         elif kind == mjtGeom.mjGEOM_HFIELD:
-            surfaces.append(_height_field(model, model.geom_dataid[g], name, position))
+            points, faces = height_field(model, model.geom_dataid[g])
+            surfaces.append(Convex(name, points + position, faces))
         elif kind in (mjtGeom.mjGEOM_MESH, mjtGeom.mjGEOM_SDF):
             points, faces = _mesh(model, model.geom_dataid[g])
             points = points @ rotation.T + position
@@ -219,15 +220,3 @@ def _hull(name: str, points: F64) -> Convex:
     inward = (across(vertices, faces) * (vertices[faces].mean(1) - vertices.mean(0))).sum(1) < 0
     faces[inward] = faces[inward][:, ::-1]
     return Convex(name, vertices, faces.astype(np.int32))
-
-
-def _height_field(model: Any, field: int, name: str, position: F64) -> Convex:
-    rows, columns, start = model.hfield_nrow[field], model.hfield_ncol[field], model.hfield_adr[field]
-    rx, ry, elevation, _ = model.hfield_size[field]
-    z = model.hfield_data[start : start + rows * columns].astype(float) * elevation
-    x, y = np.meshgrid(np.linspace(-rx, rx, columns), np.linspace(-ry, ry, rows))
-    a = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
-    lower = np.stack([a, a + 1, a + columns], 1)
-    upper = np.stack([a + 1, a + columns + 1, a + columns], 1)
-    vertices = np.column_stack([x.ravel(), y.ravel(), z]) + position
-    return Convex(name, vertices, np.concatenate([lower, upper]).astype(np.int32))
