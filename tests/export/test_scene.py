@@ -272,7 +272,7 @@ def test_holes_become_ground_and_are_said() -> None:
 def test_an_enormous_mesh_is_refused() -> None:
     mesh = terrain_mesh([box(0, 0, 400, 400, 0)])
     with pytest.raises(ExportError, match="mesh's unit"):
-        hfield(Shape(mesh, GROUND), SceneConfig())
+        hfield(Shape(mesh, GROUND), SceneConfig(contact="hfield"))
 
 
 def test_baked_colours_are_those_of_the_vertices() -> None:
