@@ -23,6 +23,7 @@ LAYOUTS = Registry(
         "open3d": "realsim.capture.layouts.open3d:LAYOUT",
         "tum": "realsim.capture.layouts.tum:LAYOUT",
         "sevenscenes": "realsim.capture.layouts.sevenscenes:LAYOUT",
+        "replica": "realsim.capture.layouts.replica:LAYOUT",
         "scannet": "realsim.capture.layouts.scannet:LAYOUT",
         "pcd": "realsim.capture.layouts.pcd:LAYOUT",
         "nerfstudio": "realsim.capture.layouts.nerfstudio:LAYOUT",

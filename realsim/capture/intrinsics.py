@@ -19,7 +19,7 @@ from realsim.core.types import F64, Intrinsics
 
 MATRIX_KEYS = ("intrinsic_matrix", "camera_matrix", "K", "k", "intrinsics", "intrinsic", "matrix")
 WIDTH_KEYS, HEIGHT_KEYS = ("width", "image_width", "w"), ("height", "image_height", "h")
-DEPTH_UNIT_KEYS = ("depth_scale", "depth_unit", "depth_factor")
+DEPTH_UNIT_KEYS = ("depth_scale", "depth_unit", "depth_factor", "png_depth_scale", "scale")
 FIELD_OF_VIEW_DEG = (5.0, 170.0)
 OFF_CENTRE = (0.1, 0.2)
 """Of the image's size, that a principal point may lie off the middle: beyond the first it is doubtful; beyond the
@@ -208,7 +208,15 @@ def camera_from_mapping(data: Any, source: Path) -> Camera:
 
 
 def camera_from_text(text: str, source: Path) -> Camera:
-    """A camera from a text file: a 3x3 or 4x4 matrix, or one line `fx fy cx cy [width height]`; # starts a comment."""
+    """A camera from a text file: a 3x3 or 4x4 matrix, or one line `fx fy cx cy [width height]`; # starts a comment. Or
+    the colour camera of the `name = value` lines that BundleFusion's reader of .sens files leaves."""
+    named = dict(re.findall(r"^(m_\w+) *= *(.+)$", text, flags=re.MULTILINE))
+    if "m_calibrationColorIntrinsic" in named:
+        camera = camera_from_text(named["m_calibrationColorIntrinsic"], source)
+        width, height, steps = (named.get(f"m_{key}", "0") for key in ("colorWidth", "colorHeight", "depthShift"))
+        if width.isdigit() and height.isdigit() and steps.isdigit() and min(map(int, (width, height, steps))) > 0:
+            return replace(camera, width=int(width), height=int(height), depth_unit=1 / int(steps))
+        return camera
     words = " ".join(line.split("#")[0] for line in text.splitlines()).replace(",", " ").split()
     try:
         values = [float(word) for word in words]

@@ -31,6 +31,8 @@ UNITS = {
     "1/10000 m": 1e-4,
     "1/256 m": 1 / 256,
 }
+SHIFTED = {"1/8000 m (SUN3D, whose millimetres are shifted by three bits)": 1 / 8000, **UNITS}
+"""Where all values are multiples of eight."""
 
 
 def check_unit(frames: Sequence[Frame], looks: Sequence[Look], source: Path) -> str | None:
@@ -49,13 +51,15 @@ def check_unit(frames: Sequence[Frame], looks: Sequence[Look], source: Path) -> 
         if _within(median, USUAL_MEDIAN):
             return None
         return f"the median depth is {found}: unusual, check the unit (--depth-unit)"
-    likely = [name for name, u in UNITS.items() if unit and _within(median / unit * u, USUAL_MEDIAN)]
+    steps = np.rint(frames[0].depth() / unit).astype(int) if unit else np.ones(1, int)
+    units = SHIFTED if np.gcd.reduce(steps, axis=None) % 8 == 0 else UNITS
+    likely = [name for name, u in units.items() if unit and _within(median / unit * u, USUAL_MEDIAN)]
     raise CaptureError(
         "depth in an implausible unit",
         file=source,
         expected=f"a median depth between {PLAUSIBLE_MEDIAN[0]:g} and {PLAUSIBLE_MEDIAN[1]:g} m",
         found=found,
-        hint=f"likely {' or '.join(likely)}: pass --depth-unit {UNITS[likely[0]]:g}" if likely else None,
+        hint=f"likely {' or '.join(likely)}: pass --depth-unit {units[likely[0]]:g}" if likely else None,
     )
 
 

@@ -82,7 +82,8 @@ def interpolated_T(times: Array, T: Array, at: Array) -> Array:
 
 def angle_deg(R: ArrayLike) -> float:
     """Angle of a rotation matrix in degrees."""
-    return float(np.degrees(np.linalg.norm(log_so3(R))))
+    # |R - 1| = 2 sqrt(2) sin(angle / 2) in the Frobenius norm: unlike the trace it is exact about zero.
+    return float(np.degrees(2 * np.arcsin(min(np.linalg.norm(np.asarray(R, float) - np.eye(3)) / np.sqrt(8), 1))))
 
 
 def quat_to_R(q: ArrayLike) -> Array:

@@ -76,6 +76,16 @@ def write_sevenscenes(folder: Path, views: Sequence[View]) -> None:
     np.savetxt(folder / "camera-intrinsics.txt", CAMERA.K)
 
 
+def write_replica(folder: Path, views: Sequence[View]) -> None:
+    c = CAMERA
+    for i, view in enumerate(views):
+        write_image(folder / f"results/frame{i:06d}.png", view.color)
+        write_image(folder / f"results/depth{i:06d}.png", np.rint(view.depth * 6553.5).astype(np.uint16))
+    np.savetxt(folder / "traj.txt", [view.T_world_camera.ravel() for view in views])
+    camera = {"w": c.width, "h": c.height, "fx": c.fx, "fy": c.fy, "cx": c.cx, "cy": c.cy, "scale": 6553.5}
+    (folder / "cam_params.json").write_text(json.dumps({"camera": camera}))
+
+
 def write_scannet(folder: Path, views: Sequence[View]) -> None:
     of_color = CAMERA.resized(2 * CAMERA.width, 2 * CAMERA.height)
     for i, view in enumerate(views):
@@ -344,6 +354,7 @@ WRITERS: dict[str, Callable[[Path, Sequence[View]], object]] = {
     "open3d": write_open3d,
     "tum": write_tum,
     "sevenscenes": write_sevenscenes,
+    "replica": write_replica,
     "scannet": write_scannet,
     "pcd": write_pcd_folder,
     "plain": write_plain,

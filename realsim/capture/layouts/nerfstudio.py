@@ -113,7 +113,8 @@ def _pairs(folder: Path, entries: Sequence[Mapping[str, Any]]) -> tuple[list[Pai
         name = stem if unique else str(Path(color).with_suffix(""))
         depth = next((entry[key] for key in DEPTH_KEYS if entry.get(key)), None)
         depth_path = None if depth is None else inside(folder, _text(depth, source))
-        pairs.append(Pair(name, inside(folder, color), depth_path))
+        file = color if Path(color).suffix else f"{color}.png"  # as instant-ngp reads it, and NeRFCapture writes it
+        pairs.append(Pair(name, inside(folder, file), depth_path))
         by_name[name] = entry
     return pairs, by_name
 

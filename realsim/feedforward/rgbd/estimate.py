@@ -16,7 +16,7 @@ from realsim.feedforward.rgbd.icp_links import link_by_shape
 from realsim.feedforward.rgbd.keyframes import choose_by_matching
 from realsim.feedforward.rgbd.learned import join_pieces
 from realsim.feedforward.rgbd.localize import Landmarks, localize
-from realsim.feedforward.rgbd.loop_closure import Joined, join
+from realsim.feedforward.rgbd.loop_closure import HONEST, LINKS, Joined, join
 from realsim.feedforward.rgbd.matching import (
     is_believable,
     make_edge,
@@ -202,12 +202,20 @@ def _lost(views: Sequence[View], net: Net, joined: Joined) -> dict[int, str]:
 
 
 def _said(views: Sequence[View], joined: Joined) -> tuple[str, ...]:
-    """Pieces that could not be joined, in words."""
+    """That the place looks alike elsewhere, and pieces that could not be joined, in words."""
+    refused, alike, said = len(joined.refused), len(joined.refused) + len(joined.edges), ()
+    if refused >= LINKS and refused > (1 - HONEST) * alike:
+        said = (
+            f"the place repeats itself: {refused} of {alike} pairs of frames that look alike contradict the others. "
+            "That frames next to each other are not a whole repeat apart is taken from their order: record with "
+            "smaller steps, or check a length",
+        )
     pieces = [p for p in joined.parts[1:] if len(p) >= WORTH_TELLING]
     if not pieces:
-        return ()
+        return said
     named = ", ".join(f"{views[p[0]].name} to {views[p[-1]].name} ({len(p)} frames)" for p in pieces[:4])
     return (
+        *said,
         f"the capture falls into {len(pieces) + 1} pieces that nothing joins for certain; the largest of "
         f"{len(joined.used)} frames is used, not {named}",
     )
