@@ -14,7 +14,7 @@ from realsim.core.files import parse_yaml
 
 from .scene import CAMERA, walk
 from .test_layouts import CONFIG, frames_of
-from .writers import write_image, write_plain, write_scannerapp, write_sevenscenes, write_tum
+from .writers import write_image, write_nerfstudio, write_plain, write_scannerapp, write_sevenscenes, write_tum
 
 ERRORS = {
     "broken/tum_times_nan": ("depth.txt", "line 2: nan"),
@@ -176,3 +176,39 @@ def test_an_stl_whose_normals_contradict_a_triangle(tmp_path):
     write("bad.stl")
     assert read(tmp_path / "good.stl", CaptureConfig()).warnings == ()
     assert any("1 of 32 triangles contradict" in w for w in read(tmp_path / "bad.stl", CaptureConfig()).warnings)
+
+
+def test_the_camera_of_a_bundlefusion_export(tmp_path):
+    views, K = walk(4), np.eye(4)
+    write_sevenscenes(tmp_path, views)
+    K[:3, :3] = CAMERA.K
+    (tmp_path / "camera-intrinsics.txt").unlink()
+    lines = {
+        "m_versionNumber": "4",
+        "m_colorWidth": CAMERA.width,
+        "m_colorHeight": CAMERA.height,
+        "m_depthShift": 1000,
+        "m_calibrationColorIntrinsic": " ".join(map(repr, K.ravel().tolist())),
+    }
+    (tmp_path / "info.txt").write_text("".join(f"{name} = {value}\n" for name, value in lines.items()))
+    frame = frames_of(tmp_path).frames[1]
+    assert frame.intrinsics == CAMERA
+    np.testing.assert_allclose(frame.depth()[views[1].depth > 0], views[1].depth[views[1].depth > 0], atol=6e-4)
+
+
+def test_images_without_a_suffix_are_png(tmp_path):
+    write_nerfstudio(tmp_path, walk(4))
+    path = tmp_path / "transforms.json"
+    path.write_text(path.read_text().replace('.png", "depth_file_path"', '", "depth_file_path"'))
+    assert len(frames_of(tmp_path)) == 4
+
+
+def test_millimetres_shifted_by_three_bits_are_named(tmp_path):
+    views = walk(4)
+    write_plain(tmp_path, views)
+    for i, view in enumerate(views):
+        write_image(tmp_path / f"depth/{i:06d}.png", np.rint(1000 * view.depth).astype(np.uint16) << 3)
+    with pytest.raises(CaptureError) as caught:
+        frames_of(tmp_path)
+    assert "SUN3D" in caught.value.render()
+    assert "--depth-unit 0.000125" in caught.value.render()

@@ -203,19 +203,18 @@ def _lost(views: Sequence[View], net: Net, joined: Joined) -> dict[int, str]:
 
 def _said(views: Sequence[View], joined: Joined) -> tuple[str, ...]:
     """That the place looks alike elsewhere, and pieces that could not be joined, in words."""
-    refused, alike, said = len(joined.refused), len(joined.refused) + len(joined.edges), ()
+    said, refused, alike = [], len(joined.refused), len(joined.refused) + len(joined.edges)
     if refused >= LINKS and refused > (1 - HONEST) * alike:
-        said = (
+        said.append(
             f"the place repeats itself: {refused} of {alike} pairs of frames that look alike contradict the others. "
             "That frames next to each other are not a whole repeat apart is taken from their order: record with "
-            "smaller steps, or check a length",
+            "smaller steps, or check a length"
         )
     pieces = [p for p in joined.parts[1:] if len(p) >= WORTH_TELLING]
-    if not pieces:
-        return said
-    named = ", ".join(f"{views[p[0]].name} to {views[p[-1]].name} ({len(p)} frames)" for p in pieces[:4])
-    return (
-        *said,
-        f"the capture falls into {len(pieces) + 1} pieces that nothing joins for certain; the largest of "
-        f"{len(joined.used)} frames is used, not {named}",
-    )
+    if pieces:
+        named = ", ".join(f"{views[p[0]].name} to {views[p[-1]].name} ({len(p)} frames)" for p in pieces[:4])
+        said.append(
+            f"the capture falls into {len(pieces) + 1} pieces that nothing joins for certain; the largest of "
+            f"{len(joined.used)} frames is used, not {named}"
+        )
+    return tuple(said)
