@@ -113,6 +113,7 @@ def reconstruct(source: Path, out: Path, config: ReconstructConfig | None = None
             if (before := config.since) is not None:
                 result = replace(result, changes=run.stage("changes", lambda: changes.since(before, folder)))
             run.stage("report", lambda: report.write_report(folder, result))
+    release_memory()
     return replace(result, scene=_moved(scene, out.absolute()), stages=tuple(run.stages))
 
 
