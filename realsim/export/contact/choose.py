@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.core.errors import UnknownNameError
-from realsim.core.meshes import areas, faces_by_place
+from realsim.core.meshes import areas, edges_of, faces_by_place
 from realsim.core.progress import steps
 from realsim.core.types import TerrainMesh
 from realsim.export.config import SceneConfig
@@ -137,8 +137,7 @@ def _uncertain(mesh: TerrainMesh) -> float:
 
 def _closed(mesh: TerrainMesh) -> bool:
     """Whether no edge has one triangle alone."""
-    edges = np.sort(faces_by_place(mesh.vertices, mesh.triangles)[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    return bool((np.unique(edges, axis=0, return_counts=True)[1] > 1).all())
+    return bool((edges_of(faces_by_place(mesh.vertices, mesh.triangles)).uses > 1).all())
 
 
 def _mean_edge(mesh: TerrainMesh) -> float:

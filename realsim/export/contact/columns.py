@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.core.errors import ExportError
+from realsim.core.meshes import across
 from realsim.core.types import TerrainMesh
 from realsim.export.contact.rays import Rays
 
@@ -83,20 +84,13 @@ def columns(mesh: TerrainMesh, ground_z: float, cell: float) -> Columns:
         made = top, np.append(seen & up, False)[above], bottom, np.append(seen, False)[below]
         strips.append([values.reshape(-1, *x.shape) for values in made])
     layers = max(len(strip[0]) for strip in strips)
-    nothing = np.nan, False, -np.inf, False
-    return Columns(
-        origin,
-        cell,
-        *(
-            np.concatenate([_in_layers(strip[k], layers, nothing[k]) for strip in strips], axis=1)
-            for k in range(len(nothing))
-        ),
-    )
 
+    def joined(k: int, nothing: float) -> NDArray[Any]:
+        below = [((0, layers - len(strip[k])), (0, 0), (0, 0)) for strip in strips]
+        padded = [np.pad(strip[k], more, constant_values=nothing) for strip, more in zip(strips, below, strict=True)]
+        return np.concatenate(padded, axis=1)
 
-def _in_layers(values: NDArray[Any], layers: int, nothing: float) -> NDArray[Any]:
-    """(layers, rows, columns) of fewer layers (L, rows, columns): what lies below is nothing."""
-    return np.pad(values, ((0, layers - len(values)), (0, 0), (0, 0)), constant_values=nothing)
+    return Columns(origin, cell, joined(0, np.nan), joined(1, False), joined(2, -np.inf), joined(3, False))
 
 
 def crossings(
@@ -109,8 +103,7 @@ def crossings(
         above: z to start at, metres.
         rays: the mesh's caster, if it is made already.
     """
-    corners = mesh.vertices[mesh.triangles]
-    faces_up = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2] > 0
+    faces_up = across(mesh.vertices, mesh.triangles)[:, 2] > 0
     start = np.column_stack([x, y, np.full(len(x), above)])
     rays = rays or Rays(mesh.vertices, mesh.triangles)
     ray, t, triangle = rays.crossings(start, np.broadcast_to([0.0, 0.0, -1.0], start.shape))

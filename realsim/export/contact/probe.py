@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from realsim.core.meshes import across
 from realsim.export.contact.base import ContactModel
 from realsim.export.contact.rays import Rays
 from realsim.export.mjcf import contact_elements
@@ -151,8 +152,7 @@ class Reference:
         self.vertices, self.triangles = vertices, triangles
         self.invented = np.zeros(len(triangles), bool) if invented is None else invented
         """(K,) triangles that were not measured."""
-        corners = vertices[triangles]
-        self.up = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2] > 0
+        self.up = across(vertices, triangles)[:, 2] > 0
         self._rays = Rays(vertices, triangles)
 
     def seen_only(self) -> Reference:
@@ -165,8 +165,7 @@ class Reference:
         """First hits of rays (N, 3), (N, 3) unit: ((N,) metres, inf for none; (N,) cosine of the way and the normal of
         what was hit, negative at its front; (N, 3) that normal)."""
         t, triangle = self._rays.cast(origins, ways)
-        corners = self.vertices[self.triangles[np.maximum(triangle, 0)]]
-        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normal = across(self.vertices, self.triangles[np.maximum(triangle, 0)])
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-15)
         return t, (normal * ways).sum(1), normal
 

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from realsim.core.meshes import across
 from realsim.core.types import TerrainMesh
 from realsim.export.contact.islands import PIT, Terrain, terrain
 from realsim.export.contact.planar import PlanarIsland, planar
@@ -79,10 +80,8 @@ class Shape:
             noise: metres that the surface is off: columns within twice that behind a wall go in and out of it.
         """
         mesh = self._left
-        corners = mesh.vertices[mesh.seen]
-        cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        cross, middle = across(mesh.vertices, mesh.seen), mesh.vertices[mesh.seen].mean(1)
         area = np.linalg.norm(cross, axis=1)
-        middle = corners.mean(1)
         over = middle[:, 2] - self.ground_z
         side = (np.abs(cross[:, 2]) < UPRIGHT * area) & (over > PIT) & (over < SHOULDER)
         if not side.any():

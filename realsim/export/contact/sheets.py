@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from realsim.core.meshes import areas
 from realsim.core.progress import track
 from realsim.export.config import SceneConfig
 from realsim.export.contact.base import ContactModel, Geom
@@ -51,10 +52,7 @@ def sheets(shape: Shape, config: SceneConfig) -> ContactModel:
     whole, mesh = shape.fine, shape.mesh
     vertices, seen = mesh.vertices, mesh.carrying
     surface = Reference(vertices, seen)
-    corners = vertices[seen]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = float(np.linalg.norm(cross, axis=1).sum()) / 2
-    tolerance = whole.tolerance
+    area, tolerance = float(areas(vertices, seen).sum()), whole.tolerance
     finest = mesh.resolution / 2 if mesh.noise_m is not None else 0.0
     spacing = max(0.01, finest, float(np.sqrt(area / MOST)))
     samples = sampled(vertices, seen, spacing)

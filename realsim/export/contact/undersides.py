@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from realsim.core.meshes import across
 from realsim.core.types import TerrainMesh
 from realsim.export.contact.columns import NARROW, Columns
 
@@ -20,7 +21,7 @@ class Walls:
 
     def __init__(self, mesh: TerrainMesh) -> None:
         corners = mesh.vertices[mesh.seen]
-        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normal = across(mesh.vertices, mesh.seen)
         length = np.linalg.norm(normal, axis=1)
         steep = np.abs(normal[:, 2]) < STEEP * np.maximum(length, 1e-20)
         corners = corners[steep]
