@@ -123,14 +123,17 @@ def make_wheel(folder: Path, seed: int) -> Path:
 
 
 def judged(report: Report, row: dict[str, Any]) -> str:
-    """`right`, `wrong` (another cause under a verdict that names one), or `open`."""
+    """`right`, `half` (some of it, or more beside it), `wrong` (something else under a verdict that names it), or
+    `open`."""
     if report.refusal:
         return "right" if row["verdict"] == "refused" and report.refusal in row["said"] else "wrong"
     kinds = [{short.split("@")[0] for short in causes} for causes in (row["causes"], *row["equivalent"])]
     wanted = [set(report.effects), *({other, *report.effects[1:]} for other in report.alike)]
     if row["verdict"] not in ("identified", "ambiguous", "partly_explained"):
         return "open"
-    return "right" if any(k in wanted for k in kinds) else "wrong"
+    if any(k in wanted for k in kinds):
+        return "right"
+    return "half" if any(k & w for k in kinds for w in wanted) else "wrong"
 
 
 def main() -> None:

@@ -57,11 +57,12 @@ _OWN: dict[str, dict[str, tuple[Any, ...]]] = {
                  "it.", "cases", "out", ("check", "max_causes", "overwrite"),
                  ("schema", "runs", "health.warnings", "verdict", "sentence", "causes", "equivalent", "where",
                   "shrinkage", "unexplained_share", "next_experiment", "seconds")),
+            {"policy": ("network",)},
         ),
         "excite": ("the recording that tells apart what a diagnosis could not: command files within the robot's limits",
                    "realsim excite diagnosis --out experiment"),
         "doctor": ("a robot's log and its policy -> contract, delay, physics, camera and terrain on one page",
-                   "realsim doctor my_case --policy policy.onnx --out doctor"),
+                   "realsim doctor my_case --policy policy.onnx --out doctor", "", (), None, {"policy": ("network",)}),
         "footholds": (
             "a robot's log against the scene it walked on -> which foothold differs from the scan, by how much",
             "realsim footholds my_case --scene scene --out footholds",
@@ -79,7 +80,7 @@ _OWN: dict[str, dict[str, tuple[Any, ...]]] = {
                   "recon"),
     },
 }  # fmt: skip
-"""Group -> name -> summary, example, extra, common, tool: fields of `Command`."""
+"""Group -> name -> summary, example, extra, common, tool, takes: fields of `Command`."""
 COMMANDS: dict[str, Command] = {
     name: Command(f"realsim.cli.commands.{name}:{name}", summary, example, group, *more)
     for group, known in _OWN.items()

@@ -73,7 +73,7 @@ def check_size(path: Path, limit: int = MAX_BINARY_BYTES) -> None:
 
 def _unreadable(path: Path, found: str) -> RealsimError:
     hint = "check the path, and that you may read it"
-    return RealsimError("the file cannot be read", file=path, found=found, hint=hint)
+    return RealsimError("the file cannot be read", file=path, expected="a file", found=found, hint=hint)
 
 
 def read_bytes(path: Path, limit: int = MAX_BINARY_BYTES) -> bytes:

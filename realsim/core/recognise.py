@@ -253,13 +253,13 @@ def explain_inputs(function: Callable[P, T], takes: Mapping[str, Collection[str]
         try:
             return function(*args, **kwargs)
         except RealsimError as error:
-            for name, value in inspect.signature(function).bind_partial(*args, **kwargs).arguments.items():
-                paths = value if isinstance(value, tuple) else (value,)
-                # Of many, the one that the error is about.
-                meant = [path for path in paths if str(path) == error.file] or paths
-                for path in meant if name in takes else ():
-                    if isinstance(path, str | os.PathLike) and str(path) and explain(error, Path(path), takes[name]):
-                        raise
+            given = inspect.signature(function).bind_partial(*args, **kwargs).arguments
+            inputs = [(n, p) for n, v in given.items() for p in (v if isinstance(v, tuple) else (v,))]
+            # Of many, the one that the error is about.
+            for name, path in [pair for pair in inputs if str(pair[1]) == error.file] or inputs:
+                known = name in takes and isinstance(path, str | os.PathLike) and str(path)
+                if known and explain(error, Path(path), takes[name]):
+                    break
             raise
 
     return called

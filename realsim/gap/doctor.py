@@ -11,7 +11,7 @@ from typing import Any
 from realsim.core.errors import GapError, RealsimError
 from realsim.core.files import output_folder, to_json, write_text
 from realsim.gap.answer.brief import brief
-from realsim.gap.answer.horizons import parts_at_once
+from realsim.gap.answer.horizons import only_in_long_replays
 from realsim.gap.case.case import Case, load_case
 from realsim.gap.checks.contract import check, load_policy, read_steps
 from realsim.gap.checks.contract.settings import setting
@@ -109,11 +109,12 @@ def _physics(case: Case, config: DiagnoseConfig, progress: Progress) -> list[Par
     others = list(dict.fromkeys(c["effect"] for c in causes if "delay" not in c["parameters"]))
     late = "no delay of commands or readings is named" if not delays else result["sentence"]
     level, sentence = SAID[verdict].level, str(result["sentence"])
-    if verdict is GapVerdict.UNEXPLAINED and not causes and not (at_once := parts_at_once(found.evidence)):
+    chaotic = only_in_long_replays(found.evidence) if verdict is GapVerdict.UNEXPLAINED and not causes else False
+    if chaotic:
+        level = "good"
+        sentence = "predictions over 0.1 to 0.5 s are within noise: replays part because small differences grow"
+    elif chaotic is None:
         level = "look"
-        if at_once is False:
-            level = "good"
-            sentence = "predictions over 0.1 to 0.5 s are within noise: replays part because small differences grow"
     if verdict is GapVerdict.IDENTIFIED:
         level = "look"  # something is to be changed
     return [

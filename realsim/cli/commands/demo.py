@@ -45,7 +45,9 @@ def demo(
     from realsim.synth.errors import compare
 
     if out.exists() and not out.is_dir():
-        raise RealsimError("the output is a file", file=out, expected="a folder that does not exist yet")
+        raise RealsimError(
+            "the output is a file", file=out, expected="a folder that does not exist yet", hint="choose another --out"
+        )
     if out.exists() and any(out.iterdir()) and not overwrite:
         raise RealsimError("the output folder exists and is not empty", file=out, hint="pass --overwrite")
     if robot is not None:

@@ -77,6 +77,16 @@ def diagnose(
         )
     if model is None:
         refuse_recording(cases[0])
+    elif (cases[0] / "log.json").exists():
+        raise RealsimError(
+            "--model belongs to a recording: this is a case, which has its own", file=cases[0],
+            expected="a recording", found="log.json", hint="leave out --model",
+        )  # fmt: skip
+    if deploy_yaml is not None and policy is None:
+        raise RealsimError(
+            "--deploy-yaml is the contract of a policy, and none is given", file=deploy_yaml,
+            expected="--policy policy.onnx", found="no --policy", hint="add --policy policy.onnx",
+        )  # fmt: skip
     if since is not None:
         refuse_recording(since)
     trained = partial(_contract, policy=policy, deploy_yaml=deploy_yaml) if policy is not None else None

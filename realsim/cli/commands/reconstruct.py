@@ -36,7 +36,9 @@ def reconstruct(
         strict: exit with code 3 if the verdict is "do not use" (the scene is written all the same).
     """
     if not frames:
-        raise RealsimError("no capture given", expected="realsim reconstruct FRAMES --out scene/")
+        raise RealsimError(
+            "no capture given", expected="realsim reconstruct FRAMES --out scene/", hint="realsim help reconstruct"
+        )
     if len(frames) == 1 and many.place == "processes":
         result = pipeline.reconstruct(frames[0], out, config)
         verdict = judge(result).as_dict()

@@ -18,6 +18,7 @@ from realsim.core.onnx_file import open_network, open_parts
 from realsim.core.types import F64
 from realsim.gap.checks.contract.policy import TERMS, WIDTH, Camera, Contract, Run, Seen, Term
 
+EXPORTED = "give the exported policy.onnx, which realsim finetune and mjlab write, and play.py of Isaac Lab"
 MAX_BYTES = 2**20
 """Of a YAML file: deploy.yaml of a humanoid has 10 kB."""
 
@@ -187,12 +188,15 @@ def load_policy(path: Path | str, deploy: Path | str | None = None, joints: Sequ
         GapError: no ONNX, no contract in it, or one that does not fit the network.
     """
     path, deploy = Path(path), Path(deploy) if deploy is not None else None
+    if path.is_dir():
+        raise GapError("a folder, not a policy", file=path, expected="policy.onnx", hint=f"give {path / 'policy.onnx'}")
     try:
         session = open_network(path)
     except ModelError as error:
+        absent = "beside" in (error.hint or "") + (error.expected or "")
         raise GapError(
             f"not a readable ONNX policy: {error.message}", file=path, expected=error.expected, found=error.found,
-            hint=error.hint,
+            hint=error.hint if absent else EXPORTED,
         ) from error  # fmt: skip
     made = read_contract(path, session.get_modelmeta().custom_metadata_map, deploy, joints)
     run, see = _runner(session, made, path)

@@ -88,4 +88,13 @@ def test_the_policy_alone_is_checked_and_nothing_written(
     assert text.startswith(found["contract"]["sentence"])
     assert ("change  scale of JointPositionActionCfg" in text) == (verdict == "broken")
     assert {p.name for p in tmp_path.iterdir()} == {"case", "policy.onnx"}
-    assert main([*line[:-2], str(tmp_path / "none.onnx"), "--check"]) == 2
+
+
+def test_what_is_no_exported_policy_says_what_to_give(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    case = write_case(tmp_path / "case", 1.0)
+    (tmp_path / "policy.pt").write_bytes(b"PK\x03\x04")
+    (tmp_path / "robot.xml").write_text(ARM)
+    for name, hint in (("policy.pt", "exported policy.onnx"), ("robot.xml", "robot.xml"), ("", "policy.onnx"),
+                       ("none.onnx", "check the path")):  # fmt: skip
+        assert main(["diagnose", str(case), "--policy", str(tmp_path / name), "--check", "--json"]) == 2
+        assert hint in json.loads(capsys.readouterr().out)["hint"]
