@@ -255,10 +255,10 @@ def explain_inputs(function: Callable[P, T], takes: Mapping[str, Collection[str]
         except RealsimError as error:
             given = inspect.signature(function).bind_partial(*args, **kwargs).arguments
             inputs = [(n, p) for n, v in given.items() for p in (v if isinstance(v, tuple) else (v,))]
+            known = [(n, p) for n, p in inputs if n in takes and isinstance(p, str | os.PathLike) and str(p)]
             # Of many, the one that the error is about.
-            for name, path in [pair for pair in inputs if str(pair[1]) == error.file] or inputs:
-                known = name in takes and isinstance(path, str | os.PathLike) and str(path)
-                if known and explain(error, Path(path), takes[name]):
+            for name, path in [(n, p) for n, p in known if str(p) == error.file] or known:
+                if explain(error, Path(path), takes[name]):
                     break
             raise
 

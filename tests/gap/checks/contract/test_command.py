@@ -94,7 +94,7 @@ def test_what_is_no_exported_policy_says_what_to_give(tmp_path: Path, capsys: py
     case = write_case(tmp_path / "case", 1.0)
     (tmp_path / "policy.pt").write_bytes(b"PK\x03\x04")
     (tmp_path / "robot.xml").write_text(ARM)
-    for name, hint in (("policy.pt", "exported policy.onnx"), ("robot.xml", "robot.xml"), ("", "policy.onnx"),
+    for name, hint in (("policy.pt", "policy.onnx"), ("robot.xml", "robot.xml"),
                        ("none.onnx", "check the path")):  # fmt: skip
         assert main(["diagnose", str(case), "--policy", str(tmp_path / name), "--check", "--json"]) == 2
         assert hint in json.loads(capsys.readouterr().out)["hint"]
