@@ -47,7 +47,7 @@ def readme() -> list[str]:
         (
             "Diagnosis: `identified` with exactly the true cause / with pairs",
             f"{of(found['one cause: `identified`, with exactly that cause'])} / {of(exact)}",
-            f"simulated logs, fresh seed {FRESH[0]}, engine {FRESH[1]}",
+            f"{len(rows_of())} simulated logs, fresh seed {FRESH[0]}",
         ),
         (
             "Diagnosis: cause named first / false alarms",
@@ -57,7 +57,7 @@ def readme() -> list[str]:
         (
             "Real robots: error named first / both of two / surely wrong",
             f"{of(real['single_first_right'])} / {of(real['double_both_right'])} / {of(real['confident_and_wrong'])}",
-            "known errors in two models, same engine",
+            "known errors in two models, the engine before",
         ),
         (
             "G1's base policy, difficulty 0.5 / 0.8 / 1, mean and worst family",
