@@ -67,6 +67,8 @@ def unseen() -> list[str]:
     def flagged(of: list[Row], name: str) -> str:
         return share((sum(bool(r[name]) for r in of), len(of)))
 
+    others = stored("gap_strangers")["rows"]
+    mistaken, sound = ([r for r in others if r["cls"] == cls] for cls in ("single", "none"))
     alike = ("first right", "equivalent", "among the named")
     lines = [
         ("one visible error in a model: right cause named first", judged(put_in, "first right"), "11 of 13"),
@@ -75,6 +77,11 @@ def unseen() -> list[str]:
         ("nothing put in, nothing named", judged(none, "nothing put in, not named"), ""),
         ("logs that once got a wrong answer: right", judged(once, *alike), "all right or honest"),
         ("the same: wrong under a verdict that names a cause", judged(once, "wrong"), ""),
+        ("small robots of other shapes, on which it was mended: right cause named first",
+         judged(mistaken, "first right"), "60 %"),
+        ("the same, or what moves the robot alike", judged(mistaken, *alike), ""),
+        ("the same: `identified` with a wrong cause", judged(others, "SURE AND WRONG"), "1 of 20"),
+        ("the same: nothing put in, nothing named", judged(sound, "nothing put in, not named"), ""),
         ("damaged drones: mass or thrust, rightly", flagged(damaged, "kind_right"), "80 %"),
         ("damaged drones: at the right arm", flagged(damaged, "arm_right"), "80 %"),
         ("damaged drones: `identified`, and wrong",

@@ -47,6 +47,11 @@ INDEX = (
         "gap_put_in",
         "python benchmarks/diagnosis/batch.py",
     ),
+    (
+        "Small robots of other shapes, with plain mistakes in their models",
+        "gap_strangers",
+        "python -m benchmarks.diagnosis.strangers",
+    ),
     ("Real flights of drones with known damage", "gap_flights", "python benchmarks/diagnosis/batch.py"),
     (
         "Robots that only their controller holds up",
@@ -137,6 +142,7 @@ KEYS = {
     "gap_next": ("seed", "case", "engine"),
     "gap_real": ("case", "engine"),
     "gap_put_in": ("case",),
+    "gap_strangers": ("case",),
     "gap_flights": ("case",),
     "gap_since": ("seed", "pair"),
     "gap_sweep": gap_sweep.KEY,

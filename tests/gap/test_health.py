@@ -97,6 +97,22 @@ def test_plain_mistakes_are_refused(good: Case, change: Callable[[Run], Run], sa
         health(spoiled(good.with_runs(good.runs[:2]), change))
 
 
+def hardly_moving(run: Run) -> Run:
+    """Each joint's column goes a little as the other one's command, as play and stiction make it."""
+    places = run.signals["joint_pos"]
+    still = np.nanmean(places, axis=0)
+    return replace(
+        run,
+        command=still + 0.02 * (run.command - still),
+        signals={"joint_pos": still + 0.02 * (places - still)[:, ::-1]},
+    )
+
+
+def test_the_order_of_joints_that_hardly_move_is_not_doubted(good: Case) -> None:
+    found = health(spoiled(good.with_runs(good.runs[:2]), hardly_moving))
+    assert any("hardly moves" in w for w in found["warnings"])
+
+
 def noise_about_rest(values: Any) -> Any:
     return values[:1] + np.random.default_rng(0).normal(0, 0.05, values.shape)
 
