@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from trainer.errors import TrainerError
+from trainer.errors import check_fields
 
 
 @dataclass(frozen=True)
@@ -30,5 +30,4 @@ class EvaluationConfig:
     """Metres a bin of the failures along the course."""
 
     def __post_init__(self) -> None:
-        if self.trials < 1 or self.worlds < 1 or self.bin_m <= 0:
-            raise TrainerError("trials, worlds and bins must be positive", found=str(self))
+        check_fields(self, above={"bin_m": 0}, least={"trials": 1, "worlds": 1})

@@ -437,7 +437,11 @@ def inside(root: Path, name: str) -> Path:
         ) from error
     if not target.is_relative_to(base):
         raise RealsimError(
-            "a path leads out of its folder", file=root, found=name, expected="a relative path inside it"
+            "a path leads out of its folder",
+            file=root,
+            found=name if str(target) == os.path.normpath(base / name) else f"{name}, a link to {target}",
+            expected="a relative path inside it",
+            hint="put what it names into the folder, instead of a path or a link to it",
         )
     return target
 

@@ -24,17 +24,21 @@ SIZES = {"texture": ("width", "height"), "hfield": ("nrow", "ncol")}
 DIRECTORIES = ("meshdir", "texturedir", "assetdir")
 
 
-def check_mjcf(path: Path, root: Path | None = None, problem: type[RealsimError] = RealsimError) -> str:
+def check_mjcf(
+    path: Path, root: Path | None = None, problem: type[RealsimError] = RealsimError, *, plugins: bool = False
+) -> str:
     """The text of an MJCF file, after it and all that it reads were found harmless.
 
     Args:
         root: the folder below which all files must be that it names, links followed; any may be named if None.
         problem: the kind of error.
+        plugins: whether it may have plugins, as MuJoCo brings some with it.
 
     Raises:
-        RealsimError: it is no XML, has plugins, names files outside `root` or by absolute paths, or is too large.
+        RealsimError: it is no XML, has plugins where it may not, names files outside `root` or by absolute paths, or
+            is too large.
     """
-    text, size = _Checker(root, problem).check(path, Path())
+    text, size = _Checker(root, problem, plugins).check(path, Path())
     if size > MOST_ELEMENTS:
         raise problem(
             "the model is too large",
@@ -47,8 +51,8 @@ def check_mjcf(path: Path, root: Path | None = None, problem: type[RealsimError]
 
 
 class _Checker:
-    def __init__(self, root: Path | None, problem: type[RealsimError]) -> None:
-        self.root, self.problem = root, problem
+    def __init__(self, root: Path | None, problem: type[RealsimError], plugins: bool) -> None:
+        self.root, self.problem, self.plugins = root, problem, plugins
 
     def check(self, path: Path, where: Path, depth: int = 0) -> tuple[str, float]:
         """(text, elements) of a file whose names are relative to `where`, a folder below the first file's."""
@@ -75,7 +79,7 @@ class _Checker:
         return text, self._size(path, tree, where, depth)
 
     def _check_node(self, path: Path, node: Any, where: Path, directories: dict[str, str]) -> None:
-        if node.tag in ("plugin", "extension"):
+        if node.tag in ("plugin", "extension") and not self.plugins:
             raise self.problem("models with plugins are not loaded", file=path, found=f"<{node.tag}>")
         cells = math.prod(_numbers(node, SIZES.get(node.tag, ())))
         if cells > MOST_CELLS:

@@ -68,7 +68,6 @@ def read_envelope(path: Path) -> Envelope:
             file=path,
             expected="an ONNX model (a protobuf with a graph and an opset)",
             found=_looks_like(path),
-            hint="weights of a torch model are exported with the scripts in tools/export_onnx",
         )
     missing = [name for name in found.external if not inside(path.parent, name).is_file()]
     if missing:
@@ -91,7 +90,7 @@ def open_network(path: Path) -> Any:
         ModelError: see `read_envelope`; or onnxruntime refuses the network.
     """
     read_envelope(path)
-    return _session(path, str(path))
+    return open_session(path, str(path))
 
 
 def open_parts(path: Path, given: str) -> tuple[Any, Any]:
@@ -127,7 +126,7 @@ def open_parts(path: Path, given: str) -> tuple[Any, Any]:
         kept += [(GRAPH_NODE, node) for node in nodes]
         kept += [(GRAPH_INPUT, _message([(1, name.encode()), (2, FLOATS)])) for name in inputs]
         kept += [(GRAPH_OUTPUT, _message([(1, name.encode())])) for name in outputs]
-        return _session(
+        return open_session(
             path, _message([*((n, v) for n, v in model if n != MODEL_GRAPH), (MODEL_GRAPH, _message(kept))])
         )
 
@@ -137,7 +136,8 @@ def open_parts(path: Path, given: str) -> tuple[Any, Any]:
     return head, session(parts["both"] + parts["tail"], others + needed, [o.name for o in whole.get_outputs()][:1])
 
 
-def _session(path: Path, model: str | bytes) -> Any:
+def open_session(path: Path, model: str | bytes) -> Any:
+    """An onnxruntime session of a network's file, or of its content, on one thread; `path` names it in errors."""
     os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
     import onnxruntime
 

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.core.errors import ExportError, require
-from realsim.core.files import check_size
 from realsim.core.geometry import R_to_quat
 from realsim.core.meshes import merged, sampled
+from realsim.core.mjcf import check_mjcf
 from realsim.core.progress import note
 from realsim.export.any_mesh import GOOD, contact_verdict
 from realsim.export.config import SceneConfig
@@ -105,7 +105,7 @@ def _with_parts(verdict: dict[str, Any], hulls: list[dict[str, Any]], seams: lis
 def _load(path: Path) -> Any:
     import mujoco
 
-    check_size(path)
+    check_mjcf(path, problem=ExportError, plugins=True)
     try:
         return mujoco.MjModel.from_xml_path(str(path))
     except ValueError as error:

@@ -300,3 +300,16 @@ def test_a_member_that_cannot_be_checked_hides_no_damage(tmp_path: Path) -> None
     assert "list of members" in (files.archive_damage(path) or "")
     path.write_bytes(b"an old .pt is no archive")
     assert files.archive_damage(path) is None
+
+
+def test_a_link_that_leads_out_of_a_folder_is_named_with_its_target(tmp_path: Path) -> None:
+    (tmp_path / "store").mkdir()
+    (tmp_path / "capture").symlink_to(tmp_path / "real", target_is_directory=True)
+    (tmp_path / "real").mkdir()
+    (tmp_path / "real" / "rgb").symlink_to(tmp_path / "store", target_is_directory=True)
+    with pytest.raises(RealsimError) as refused:
+        files.inside(tmp_path / "capture", "rgb/0.png")
+    assert refused.value.found == f"rgb/0.png, a link to {tmp_path / 'store' / '0.png'}"
+    with pytest.raises(RealsimError) as refused:
+        files.inside(tmp_path / "capture", "../0.png")
+    assert refused.value.found == "../0.png"

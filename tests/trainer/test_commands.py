@@ -130,14 +130,16 @@ def test_what_cannot_be_done_is_said(folder: Path, capsys: pytest.CaptureFixture
     assert "--from-scratch" in failure(capsys, "finetune", "flat", "--policy", "x.pt", "--from-scratch")["expected"]
     assert "unknown strategy" in failure(
         capsys, "finetune", "flat", "--policy", str(folder / "base" / "policy.pt"), "--strategy", "lora",
-        "--task-file", str(folder / "task.json"), "--final-trials", "0", *SMALL,
+        "--task-file", str(folder / "task.json"), "--final-trials", "1000000", *SMALL,
     )["message"]  # fmt: skip
     assert "no such scene" in failure(capsys, "pretrain", "--terrain", "./nowhere")["message"]
     assert "unknown trainer" in failure(capsys, "pretrain", "--terrain", "flat", "--trainer", "sac")["message"]
     base = ["finetune", "flat", "--policy", str(folder / "base" / "policy.pt"), *SMALL]
     assert failure(capsys, *base, "--device", "gpu")["found"] == "--device gpu"
     for noise in ("0", "-1", "nan"):
-        assert "noise must be positive" in failure(capsys, *base, "--start-std", noise)["message"]
+        assert failure(capsys, *base, "--start-std", noise)["found"] == f"start_std {noise}"
+    assert failure(capsys, "deploy", "policy.onnx", "--max-step", "-1")["message"] == "max_step must be above 0"
+    assert failure(capsys, "pretrain", "--gamma", "1.5")["expected"] == "a number at most 1"
     assert failure(capsys, *base, "--minibatches", "129")["found"] == "--minibatches 129"
     few = ["pretrain", "--terrain", "flat", "--device", "cpu", "--minibatches", str(24 * 64 + 1)]
     assert "more minibatches than samples" in failure(capsys, *few)["message"]

@@ -195,3 +195,17 @@ def test_a_file_that_is_not_there_is_named() -> None:
     with pytest.raises(RealsimError, match="cannot be read") as error:
         named("nowhere/dog.toml")
     assert "dog.toml" in error.value.render()
+
+
+def test_a_model_that_grows_without_bound_is_refused_before_mujoco_reads_it(tmp_path: Path) -> None:
+    path = tmp_path / "dog.xml"
+    path.write_text(mjcf('<replicate count="100000000" offset="0 0 1"><geom size="0.1"/></replicate>'))
+    with pytest.raises(RealsimError, match="too large"):
+        guess(path, tmp_path / "dog.toml")
+
+
+def test_a_plugin_that_mujoco_brings_is_no_fault(tmp_path: Path) -> None:
+    path = tmp_path / "dog.xml"
+    extension = '<extension><plugin plugin="mujoco.pid"><instance name="pid"/></plugin></extension>'
+    path.write_text(mjcf().replace("<worldbody>", f"{extension}<worldbody>", 1))
+    assert guess(path, tmp_path / "dog.toml")

@@ -46,9 +46,8 @@ def find_terrain(name: str) -> tuple[Terrain, Path | None]:
             raise TrainerError("not a terrain", expected="FAMILY:DIFFICULTY:SEED", found=name) from error
     if os.sep in name or name.startswith("."):
         raise TrainerError("there is no such scene", file=name, expected="a folder written by `realsim reconstruct`")
-    raise UnknownNameError(
-        "scene (neither a folder nor a terrain)", name, {"flat", *terrains.TESTS, *terrains.FAMILIES}
-    )
+    known = {"flat", *terrains.TESTS, *terrains.FAMILIES}
+    raise UnknownNameError("scene (neither a folder nor a terrain)", name, known, otherwise="check the path")
 
 
 def find_scene(names: Sequence[str]) -> Scene:

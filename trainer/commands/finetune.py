@@ -55,6 +55,7 @@ def finetune(
     """
     from trainer.commands import common
     from trainer.commands.task_file import load_task
+    from trainer.ppo.strategies import STRATEGIES
     from trainer.verdict import judge
 
     common.check_output(out, overwrite, config)
@@ -78,6 +79,8 @@ def finetune(
     scene = common.find_scene(scenes)
     config = replace(config, task=load_task(task_file))
     train = find(trainer)
+    if config.strategy:
+        STRATEGIES[config.strategy]  # an unknown name is refused before the trials of the base take minutes
     before = None
     if policy is not None and final_trials and common.first_rank():
         note("trials of the base policy")

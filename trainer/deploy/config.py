@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from trainer.errors import TrainerError
+from trainer.errors import check_fields
 
 
 @dataclass(frozen=True)
@@ -27,5 +27,4 @@ class DeployConfig:
     """Keep to the clock; without, a simulated robot runs as fast as it can."""
 
     def __post_init__(self) -> None:
-        if self.seconds <= 0 or self.ramp < 0 or self.max_tilt <= 0 or self.max_step <= 0 or self.max_late < 1:
-            raise TrainerError("seconds, tilt, step and late steps must be positive", found=str(self))
+        check_fields(self, above={"seconds": 0, "max_tilt": 0, "max_step": 0}, least={"ramp": 0, "max_late": 1})

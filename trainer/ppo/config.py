@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import inf
 from typing import Literal
 
-from trainer.errors import TrainerError
+from trainer.errors import TrainerError, check_fields
 
 
 @dataclass(frozen=True)
@@ -27,9 +26,9 @@ class NetworkConfig:
     """Standard deviation of the actions at the start."""
 
     def __post_init__(self) -> None:
-        sizes = (*self.channels, self.latent, *self.actor, *self.critic)
-        if min(sizes) < 1 or not self.actor or not self.critic or self.std <= 0:
-            raise TrainerError("networks need positive layer sizes and a positive std", found=str(self))
+        check_fields(self, above={"std": 0}, least=dict.fromkeys(("channels", "latent", "actor", "critic"), 1))
+        if not self.actor or not self.critic:
+            raise TrainerError("networks need hidden layers", found=f"actor {self.actor}, critic {self.critic}")
 
 
 @dataclass(frozen=True)
@@ -45,10 +44,7 @@ class StrategyConfig:
     exploring has too much noise for the footholds of a hard course."""
 
     def __post_init__(self) -> None:
-        if min((self.adapter_width, *self.residual_hidden)) < 1:
-            raise TrainerError("adapters and residual networks need positive layer sizes", found=str(self))
-        if self.start_std is not None and not 0 < self.start_std < inf:
-            raise TrainerError("the exploration noise must be positive", found=f"start_std {self.start_std}")
+        check_fields(self, above={"start_std": 0}, least={"adapter_width": 1, "residual_hidden": 1})
 
 
 @dataclass(frozen=True)
@@ -119,16 +115,13 @@ class PPOConfig:
     prior: AmpConfig = field(default_factory=AmpConfig)
 
     def __post_init__(self) -> None:
-        if min(self.steps, self.epochs, self.minibatches) < 1:
-            raise TrainerError("steps, epochs and minibatches must be at least 1", found=str(self))
-        if not (0 < self.gamma <= 1 and 0 <= self.lam <= 1 and self.clip > 0):
-            raise TrainerError("gamma, lam or clip out of range", found=str(self))
-        if self.learning_rate is not None and self.learning_rate <= 0:
-            raise TrainerError("the learning rate must be positive", found=f"{self.learning_rate}")
-        if min(self.std_limits) <= 0 or self.std_iterations < 0 or (self.critic_rate or 1) <= 0:
-            raise TrainerError("noise limits and the critic's rate must be positive", found=str(self))
-        if self.critic_first < 0:
-            raise TrainerError("iterations of the critic alone cannot be negative", found=f"{self.critic_first}")
+        check_fields(
+            self,
+            above=dict.fromkeys(("gamma", "clip", "learning_rate", "std_limits"), 0),
+            least=dict.fromkeys(("steps", "epochs", "minibatches"), 1)
+            | dict.fromkeys(("lam", "std_iterations", "critic_first", "critic_rate"), 0),
+            most={"gamma": 1, "lam": 1},
+        )
 
     def check_samples(self, worlds: int) -> None:
         """Refuse more minibatches than an iteration of that many worlds has samples.
@@ -187,8 +180,9 @@ class LoopConfig:
     """Write event files for TensorBoard into the folder."""
 
     def __post_init__(self) -> None:
-        counts = min(self.iterations, self.checkpoint_every) >= 1 and min(self.evaluate_every, self.watch) >= 0
-        if not (counts and 0 < self.target <= 1 and 0 < self.evaluate_share <= 1 and self.minutes >= 0):
-            raise TrainerError(
-                "iterations and their intervals must be positive, target and evaluate_share in (0, 1]", found=str(self)
-            )
+        check_fields(
+            self,
+            above={"target": 0, "evaluate_share": 0},
+            least={"iterations": 1, "checkpoint_every": 1, "evaluate_every": 0, "watch": 0, "minutes": 0},
+            most={"target": 1, "evaluate_share": 1},
+        )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import logging
-import os
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -18,7 +17,7 @@ import torch
 
 from realsim.core.errors import ModelError, extra
 from realsim.core.files import write_bytes
-from realsim.core.onnx_file import open_network
+from realsim.core.onnx_file import open_network, open_session
 from trainer.errors import TrainerError
 from trainer.ppo.config import NetworkConfig
 from trainer.ppo.metadata import check_graph, check_network, read_metadata
@@ -28,6 +27,7 @@ from trainer.robots import TrainedRobot
 from trainer.tasks import ObservationLayout
 
 KEY, VERSION = "realsim", 1
+EXPORTED = "`realsim finetune` and `realsim pretrain` write policy.onnx beside policy.pt"
 TOLERANCE = 1e-5
 """Largest difference between torch and the runtime that an export may have, of actions of order one."""
 
@@ -99,7 +99,7 @@ def export(path: Path, policy: Policy, facts: Deployment, checks: int = 64) -> f
     with torch.no_grad():
         expected = actor(vector, depth).numpy()
     inputs = {name: value.numpy() for name, value in (("vector", vector), ("depth", depth)) if value is not None}
-    (found,) = session(data).run(None, inputs)
+    (found,) = open_session(path, data).run(None, inputs)
     error = float(np.abs(found - expected).max() / max(1.0, float(np.abs(expected).max())))
     if not error <= TOLERANCE:
         raise TrainerError(
@@ -124,7 +124,7 @@ def load(path: Path) -> tuple[Any, Deployment]:
     except ModelError as error:
         raise TrainerError(
             f"the policy cannot be read: {error.message}", file=path, expected=error.expected, found=error.found,
-            hint=error.hint,
+            hint=error.hint or EXPORTED,
         ) from error  # fmt: skip
     meta = runtime.get_modelmeta().custom_metadata_map
     if KEY not in meta:
@@ -133,6 +133,7 @@ def load(path: Path) -> tuple[Any, Deployment]:
             file=path,
             expected=f"metadata {KEY!r}, as `realsim finetune` writes it",
             found=f"metadata {sorted(meta)}",
+            hint=f"{EXPORTED}; those of mjlab, Isaac Lab and Unitree: realsim diagnose LOG --policy {path}",
         )
     layout, rest = read_metadata(meta[KEY], VERSION, path)
     check_graph(runtime, layout, path)
@@ -176,17 +177,6 @@ def as_policy(path: Path, robot: Callable[[str, Path], TrainedRobot]) -> Policy:
                 hint="the robot's file has changed since: restore it, or train again",
             )
     return Policy(_Runtime(runtime), Critic(facts.layout, NetworkConfig()), facts.layout, NetworkConfig(), facts.robot)
-
-
-def session(data: bytes) -> Any:
-    """An onnxruntime session on the CPU, one thread: a policy is too small for more."""
-    os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
-    import onnxruntime
-
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.log_severity_level = 3
-    return onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
 
 
 def _examples(layout: ObservationLayout, rows: int) -> tuple[torch.Tensor, torch.Tensor | None]:

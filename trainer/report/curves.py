@@ -126,7 +126,7 @@ def _axes(
         if len(points) > 1:
             axes.polyline(points, svg.color(c.color), dash="" if c.color < 8 else "5 3", title=c.name)
         if c.dots or len(points) <= DOTTED:
-            axes.dots(points, svg.color(c.color), radius=2.2, titles=[f"{c.name}: {said(v, scale)}" for v in y])
+            axes.dots(points, svg.color(c.color), radius=2.2, titles=[f"{c.name}: {format_value(v, scale)}" for v in y])
         if legend:
             axes.legend(c.name, svg.color(c.color))
     return axes.svg(f"{title} over {axis}")
@@ -139,7 +139,7 @@ def unit_of(axis: str, reach: float) -> tuple[float, str]:
     return (1e6, "million samples") if reach >= 1e6 else (1e3, "thousand samples")
 
 
-def said(value: float, scale: Scale = "plain") -> str:
+def format_value(value: float, scale: Scale = "plain") -> str:
     """A figure as text."""
     if not math.isfinite(value):
         return "–"

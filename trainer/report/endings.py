@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 
 from realsim.report import page, svg
-from trainer.report.curves import WIDTH, said
+from trainer.report.curves import WIDTH, format_value
 from trainer.report.evaluations import Evaluated
 from trainer.report.figures import Figure, Shown, families, multiples
 from trainer.report.history import LAST, Run
@@ -66,7 +66,11 @@ def _bars(title: str, rows: Sequence[tuple[str, dict[str, float]]], causes: Sequ
             share = shares.get(cause, 0.0)
             if share > 0:
                 _rectangle(
-                    axes, (at, at + share), (y - 0.38, y + 0.38), cause, f"{name}: {cause} {said(share, 'share')}"
+                    axes,
+                    (at, at + share),
+                    (y - 0.38, y + 0.38),
+                    cause,
+                    f"{name}: {cause} {format_value(share, 'share')}",
                 )
                 at += share
     return f"<figure><h4>{page.esc(title)}</h4>{axes.svg(f'how episodes end, {title}')}</figure>"
@@ -95,15 +99,15 @@ def evaluation_table(shown: Shown) -> str:
     rows = []
     for run in shown.runs:
         for e in run.evaluations:
-            low, high = (said(v, "share") for v in e.interval)
+            low, high = (format_value(v, "share") for v in e.interval)
             causes = ", ".join(f"{cause} {count}" for cause, count in e.reasons.items()) or "–"
             causes += f"; {e.overflowed} contacts dropped or limits reached" if e.overflowed else ""
             seconds = "–" if e.seconds is None else f"{e.seconds:.1f}"
             figures = [
-                said(e.rate, "share"),
+                format_value(e.rate, "share"),
                 f"{low} to {high}",
                 str(e.trials),
-                said(e.covered, "share"),
+                format_value(e.covered, "share"),
                 seconds,
                 causes,
             ]
@@ -131,7 +135,7 @@ def _along(group: Sequence[tuple[str, Evaluated]]) -> list[str]:
                     axes, (low, high), (at, at + share), cause, f"{low:g} to {high:g} m: {cause} {counts[cause]}"
                 )
                 at += share
-        heading = f"{e.terrain}, {name}: {said(e.rate, 'share')} of {e.trials} succeed"
+        heading = f"{e.terrain}, {name}: {format_value(e.rate, 'share')} of {e.trials} succeed"
         picture = axes.svg(f"failures along {e.terrain}, {name}")
         pictures.append(f"<figure><h4>{page.esc(heading)}</h4>{picture}</figure>")
     return pictures

@@ -67,6 +67,8 @@ def overall() -> list[Figure]:
         Figure("Reward per step", ("reward",)),
         Figure("Return of an episode", ("return",)),
         Figure("Length of an episode, steps", ("length",)),
+        Figure("Seconds of an episode", ("env/episode/seconds",)),
+        Figure("Robots that wait", ("env/episode/waiting",), scale="share"),
     ]
 
 
@@ -171,8 +173,10 @@ def card(
     """Figures side by side, after the plots `first`; figures that not every run has logged are listed below."""
     plots = [*first, *(plot for figure in figures for plot in draw(figure, shown))]
     body = multiples(plots) + more
-    said = missing(figures, shown)
-    return page.card(title, body + (f'<p class="note absent">{page.esc(said)}</p>' if said else ""), note, wide=True)
+    absent = missing(figures, shown)
+    return page.card(
+        title, body + (f'<p class="note absent">{page.esc(absent)}</p>' if absent else ""), note, wide=True
+    )
 
 
 def multiples(plots: Sequence[str]) -> str:

@@ -245,6 +245,7 @@ def _history_of(folder: Path) -> Path:
         file=folder,
         expected="a folder that `realsim pretrain` or `realsim finetune` wrote, with history.jsonl",
         found=found,
+        hint="name the folder that --out named there",
     )
 
 

@@ -9,14 +9,14 @@ import numpy as np
 
 from realsim.report import page, svg
 from trainer.report import curves
-from trainer.report.curves import said
+from trainer.report.curves import format_value
 from trainer.report.figures import Shown, families
 from trainer.report.history import LAST, Run
 
 
 def percent(value: float) -> str:
     """A share of episodes."""
-    return said(value, "share")
+    return format_value(value, "share")
 
 
 def runs_card(shown: Shown) -> str:

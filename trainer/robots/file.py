@@ -13,8 +13,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.core.files import check_size, read_text
+from realsim.core.files import read_text
 from realsim.core.geometry import R_to_quat, quat_to_R
+from realsim.core.mjcf import check_mjcf
 from realsim.robots.base import Robot, add_camera, add_servo
 from trainer.errors import TrainerError
 from trainer.robots.base import TrainedRobot
@@ -170,9 +171,9 @@ def opened(path: Path) -> Any:
     """`mujoco.MjSpec` of a model whose joints and bodies all have names.
 
     Raises:
-        TrainerError: it cannot be read; what MuJoCo says of it.
+        TrainerError: it cannot be read, or grows without bound; what MuJoCo says of it.
     """
-    check_size(path)
+    check_mjcf(path, problem=TrainerError, plugins=True)
     try:
         spec = mujoco.MjSpec.from_file(str(path))
     except ValueError as error:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from realsim.core.errors import RealsimError
 from realsim.core.files import read_json
+from realsim.core.mjcf import check_mjcf
 from trainer.errors import TrainerError
 from trainer.terrain.base import Platform, Terrain
 
@@ -167,6 +168,7 @@ def _contact(folder: Path, floor: float) -> Any:
     import mujoco
 
     path = _file(folder, "scene.xml")
+    check_mjcf(path, folder, TrainerError)
     try:
         spec = mujoco.MjSpec.from_file(str(path))
         # A robot that was put into the scene to look at is not terrain; its actuators go with its bodies.
