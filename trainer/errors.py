@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from math import isfinite
+from operator import ge, gt, le
 from typing import Any
 
 from realsim.core.errors import RealsimError
@@ -28,13 +29,10 @@ def check_fields(
     Raises:
         TrainerError: it names the field, the limit and the value.
     """
-    for word, limits in (("above", above), ("at least", least), ("at most", most)):
+    for word, limits, fits in (("above", above, gt), ("at least", least, ge), ("at most", most, le)):
         for name, limit in (limits or {}).items():
             value = getattr(config, name)
             for number in value if isinstance(value, tuple) else () if value is None else (value,):
-                beyond = (
-                    number <= limit if word == "above" else number < limit if word == "at least" else number > limit
-                )
-                if beyond or not isfinite(number):
-                    message = f"{name} must be {word} {limit:g}"
-                    raise TrainerError(message, expected=f"a number {word} {limit:g}", found=f"{name} {number:g}")
+                if not (fits(number, limit) and isfinite(number)):
+                    found = f"{name} {number:g} ({type(config).__name__})"
+                    raise TrainerError(f"{name} must be {word} {limit:g}", found=found)

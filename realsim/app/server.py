@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 from pathlib import Path
 from secrets import token_urlsafe
 from typing import Any
@@ -12,6 +11,7 @@ from realsim.app.guard import Guard
 from realsim.app.page import Desk, show
 from realsim.cli.roots import Roots
 from realsim.core.errors import RealsimError
+from realsim.report.live import check_port
 
 
 def serve(folder: Path, port: int = 0, token: str = "", open_browser: bool = True) -> None:
@@ -26,7 +26,7 @@ def serve(folder: Path, port: int = 0, token: str = "", open_browser: bool = Tru
     from nicegui import app, ui
 
     desk = Desk(Roots([folder]))
-    token, port = token or token_urlsafe(24), port or free_port()
+    token, port = token or token_urlsafe(24), check_port(port)
     app.add_middleware(Guard, token=token)
 
     @app.get("/report")
@@ -47,10 +47,3 @@ def serve(folder: Path, port: int = 0, token: str = "", open_browser: bool = Tru
         host="127.0.0.1", port=port, title="realsim", reload=False, show=f"/?token={token}" if open_browser else False,
         show_welcome_message=False, favicon="🦿", dark=None,
     )  # fmt: skip
-
-
-def free_port() -> int:
-    """A port of this machine that nothing listens on."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])

@@ -199,11 +199,12 @@ def explain(error: RealsimError, path: Path, takes: Collection[str]) -> bool:
         Whether this is what is wrong.
     """
     if not _exists(path):
-        near = _siblings(path)
+        about = error.file is not None and Path(error.file).is_relative_to(path)
         if re.match("[a-z0-9]+:/", str(path)):
             error.hint = "download it first: files and folders of this machine are read"
-        elif (near and error.hint is None) or error.hint == "check the path":
-            error.hint = did_you_mean(path.name, near, cutoff=0.6) or error.hint
+        elif error.hint in (None, "check the path"):
+            absent = "check the path: it is not there" if about else error.hint
+            error.hint = did_you_mean(path.name, _siblings(path), cutoff=0.6) or absent
         return False
     kind = recognise(path)
     if kind is not None and kind.name == "mesh" and path.is_dir() and takes == TAKES["meshes"]:

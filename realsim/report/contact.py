@@ -57,7 +57,7 @@ def rows(c: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("representation", f"{c['representation']} ({geoms})"),
         ("error, median", f"{c['median_mm']:.2f} mm"),
         ("error, 95th percentile", f"{c['p95_mm']:.1f} mm"),
-        ("error, largest", f"{c['max_mm']:.0f} mm"),
+        ("error, largest", f"{c['max_mm']:.1f} mm"),
         ("phantom surface", f"{c['phantom_area_cm2']:.0f} cm²"),
         ("missing surface", f"{c['missing_area_cm2']:.0f} cm²"),
         ("leaks", f"{c['leaks']}"),

@@ -58,7 +58,7 @@ def reconstruction_page(
         page.columns([_run_card(result, made)], [_mesh_card(result), _versions_card(result)]),
     ]
     title = f"Reconstruction of {'/'.join(result.source.source.parts[-2:])}"
-    subtitle = f"{views}, layout {result.source.layout}, backend {backend}, surface by {result.mesh.method}"
+    subtitle = f"{views}, layout {result.source.layout}, backend {backend}, surface {result.mesh.method}"
     return page.document(title, subtitle, "".join(body), scripts=[viewer3d.script()])
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import io
+import socket
 import time
 from pathlib import Path
 from typing import Any
@@ -23,7 +25,7 @@ def view(folder: Path, port: int = 8080, *, wait: bool = True) -> Any:
 
     Args:
         folder: that `realsim reconstruct` or `realsim contact` wrote; the latter has no cameras and no platforms.
-        port: where the page is served (http://localhost:PORT).
+        port: where the page is served (http://localhost:PORT); the next free one if it is taken.
         wait: False returns the running server at once; `server.stop()` ends it.
 
     Returns:
@@ -31,8 +33,9 @@ def view(folder: Path, port: int = 8080, *, wait: bool = True) -> Any:
 
     Raises:
         MissingExtraError: viser is not installed.
-        RealsimError: no scene in the folder.
+        RealsimError: no scene in the folder, or a port that cannot be used.
     """
+    check_port(port, taken=True)
     # `realsim contact` writes contact.json, which has no cameras and no platforms.
     names = ("report.json", "contact.json")
     figures = next((name for name in names if (folder / name).is_file()), names[0])
@@ -72,6 +75,29 @@ def view(folder: Path, port: int = 8080, *, wait: bool = True) -> Any:
     except KeyboardInterrupt:
         server.stop()
     return None
+
+
+def check_port(port: int, *, taken: bool = False) -> int:
+    """The port of this machine, a free one for 0.
+
+    Args:
+        taken: whether somebody may listen there already.
+
+    Raises:
+        RealsimError: nothing can be served there.
+    """
+    try:
+        with socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # a server that has just ended is none
+            probe.bind(("127.0.0.1", port))
+            return int(probe.getsockname()[1])
+    except (OSError, OverflowError) as error:
+        if taken and getattr(error, "errno", None) == errno.EADDRINUSE:
+            return port
+        raise RealsimError(
+            "the page cannot be served at this port", expected="a free port of 1024 to 65535",
+            found=f"--port {port}: {getattr(error, 'strerror', None) or error}", hint="give another --port",
+        ) from error  # fmt: skip
 
 
 def _light(server: Any) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import urllib.error
 import urllib.request
 from pathlib import Path
@@ -12,7 +13,7 @@ import trimesh
 import realsim as rs
 from realsim.core.errors import RealsimError
 from realsim.report import write_report
-from realsim.report.live import view
+from realsim.report.live import check_port, view
 
 from .scene import reconstruction
 
@@ -46,3 +47,17 @@ def test_viewer_shows_a_scene_of_a_mesh(tmp_path: Path) -> None:
 def test_viewer_says_what_is_missing(tmp_path: Path) -> None:
     with pytest.raises(RealsimError, match="no scene here"):
         view(tmp_path, wait=False)
+
+
+def test_a_port_that_cannot_be_used_is_refused_before_anything_is_served() -> None:
+    for port in (-3, 99_999_999):
+        with pytest.raises(RealsimError, match="port"):
+            view(Path("scene"), port)
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        taken = other.getsockname()[1]
+        with pytest.raises(RealsimError, match="port"):
+            check_port(taken)
+        assert check_port(taken, taken=True) == taken
+    assert check_port(0) > 0

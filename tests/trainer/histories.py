@@ -37,7 +37,7 @@ def _new(iteration: int, t: float, rng: np.random.Generator) -> dict[str, Any]:
     out: dict[str, Any] = {"std/legs": 1 - 0.7 * t, "std/waist": 1 - 0.5 * t, "std/arms": 1 - 0.4 * t}
     out |= {"std_limit": 1.0 - 0.6 * min(1, iteration / 400), "explained_variance": t, "clip_fraction": 0.2 * (1 - t)}
     out |= {"gradient/policy": 0.5 + rng.random(), "gradient/critic": 20 * (1 - t) + rng.random()}
-    out |= {"env/physics/solver_limited": 239.0 * (iteration + 1)}
+    out |= {"env/physics/solver_limited": 239.0 * (iteration + 1), "env/episode/waiting": 0.3 * (1 - t)}
     for k, family in enumerate(FAMILIES):
         success = 0.9 * t * t / (k + 1)
         figures = {"success": success, "covered": t / (1 + 0.3 * k), "row": 7 * t / (k + 1)}

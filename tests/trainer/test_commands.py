@@ -137,9 +137,9 @@ def test_what_cannot_be_done_is_said(folder: Path, capsys: pytest.CaptureFixture
     base = ["finetune", "flat", "--policy", str(folder / "base" / "policy.pt"), *SMALL]
     assert failure(capsys, *base, "--device", "gpu")["found"] == "--device gpu"
     for noise in ("0", "-1", "nan"):
-        assert failure(capsys, *base, "--start-std", noise)["found"] == f"start_std {noise}"
+        assert failure(capsys, *base, "--start-std", noise)["message"] == "start_std must be above 0"
     assert failure(capsys, "deploy", "policy.onnx", "--max-step", "-1")["message"] == "max_step must be above 0"
-    assert failure(capsys, "pretrain", "--gamma", "1.5")["expected"] == "a number at most 1"
+    assert failure(capsys, "pretrain", "--gamma", "1.5")["message"] == "gamma must be at most 1"
     assert failure(capsys, *base, "--minibatches", "129")["found"] == "--minibatches 129"
     few = ["pretrain", "--terrain", "flat", "--device", "cpu", "--minibatches", str(24 * 64 + 1)]
     assert "more minibatches than samples" in failure(capsys, *few)["message"]

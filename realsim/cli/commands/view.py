@@ -18,7 +18,7 @@ def view(
 
     Args:
         scene: a folder made by `realsim reconstruct`.
-        port: where the page is served on this machine.
+        port: where the page is served on this machine; the next free one if it is taken.
     """
     from realsim.report.live import view as serve
 

@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from math import isfinite
 
-from trainer.errors import TrainerError
+from trainer.errors import TrainerError, check_fields
 
 Range = tuple[float, float]
 """(low, high) of a uniform draw."""
 
 
-def _require(config: object, *conditions: tuple[bool, str]) -> None:
-    """Refuse values that make no sense, and ranges that are upside down."""
-    where = type(config).__name__
+def _check(config: object, **limits: Mapping[str, float]) -> None:
+    """Refuse numbers beyond their limits (`check_fields`), and ranges that are upside down."""
     for f in fields(config):  # type: ignore[arg-type]
         value = getattr(config, f.name)
         if isinstance(value, tuple) and len(value) == 2 and value[0] > value[1]:
-            raise TrainerError(f"{where}.{f.name} is upside down", expected="(low, high)", found=str(value))
-    for holds, what in conditions:
-        if not holds:
-            raise TrainerError(f"{where}: {what}", found=str(config))
+            where = f"{type(config).__name__}.{f.name}"
+            raise TrainerError(f"{where} is upside down", expected="(low, high)", found=str(value))
+    check_fields(config, **limits)
 
 
 @dataclass(frozen=True)
@@ -42,11 +41,7 @@ class CommandConfig:
     """Share of episodes with the command to stand."""
 
     def __post_init__(self) -> None:
-        _require(
-            self,
-            (self.speed[0] >= 0 and self.gain > 0, "speeds and gain must be positive"),
-            (0 <= self.standing <= 1, "standing is a share"),
-        )
+        _check(self, above={"gain": 0}, least={"speed": 0, "standing": 0}, most={"standing": 1})
 
 
 @dataclass(frozen=True)
@@ -71,7 +66,7 @@ class ObservationConfig:
     """Whether the critic reads a height scan of the terrain around the base; only where there is a camera."""
 
     def __post_init__(self) -> None:
-        _require(self, (self.history >= 1, "history must hold at least one step"))
+        _check(self, least={"history": 1})
 
 
 @dataclass(frozen=True)
@@ -100,13 +95,12 @@ class DepthConfig:
     """Radians, plus or minus about each axis, drawn for each episode."""
 
     def __post_init__(self) -> None:
-        _require(
+        never_negative = dict.fromkeys(("dropout", "latency", "noise", "mount_position", "mount_rotation"), 0)
+        _check(
             self,
-            (self.frames >= 1 and self.stride >= 1, "frames and stride must be at least 1"),
-            (0 < self.near < self.far, "near must be less than far"),
-            (0 <= self.dropout <= 1, "dropout is a share"),
-            (self.latency[0] >= 0, "latency cannot be negative"),
-            (min(self.noise, self.mount_position, self.mount_rotation) >= 0, "noise and mount cannot be negative"),
+            above={"near": 0, "far": self.near},
+            least={"frames": 1, "stride": 1} | never_negative,
+            most={"dropout": 1},
         )
 
 
@@ -129,13 +123,7 @@ class TerminationConfig:
     """Time on the goal platform after which a trial has succeeded; ends the episode like a time-out."""
 
     def __post_init__(self) -> None:
-        _require(
-            self,
-            (
-                min(self.seconds, self.stuck_seconds, self.goal_seconds, self.tilt) > 0,
-                "times and tilt must be positive",
-            ),
-        )
+        _check(self, above=dict.fromkeys(("seconds", "stuck_seconds", "goal_seconds", "tilt"), 0))
 
 
 @dataclass(frozen=True)
@@ -160,12 +148,9 @@ class RewardConfig:
     """Share of a joint's range within which its angle costs nothing."""
 
     def __post_init__(self) -> None:
-        numbers = all(isinstance(w, int | float) and isfinite(w) for w in self.weights.values())
-        _require(
-            self,
-            (numbers, "weights must be finite numbers"),
-            (self.velocity_sigma > 0 and self.edge_radius >= 0, "widths must be positive"),
-        )
+        if not all(isinstance(w, int | float) and isfinite(w) for w in self.weights.values()):
+            raise TrainerError("the weights of rewards must be finite numbers", found=f"{self.weights}")
+        _check(self, above={"velocity_sigma": 0}, least={"edge_radius": 0})
 
 
 @dataclass(frozen=True)
@@ -193,11 +178,7 @@ class ResetConfig:
     of time moves no world of a curriculum and is no failure in the log."""
 
     def __post_init__(self) -> None:
-        _require(
-            self,
-            (0 <= self.by_failure <= 1, "by_failure must lie between 0 and 1"),
-            (0 <= self.keep_last <= 1, "keep_last must lie between 0 and 1"),
-        )
+        _check(self, least={"by_failure": 0, "keep_last": 0}, most={"by_failure": 1, "keep_last": 1})
 
 
 @dataclass(frozen=True)
@@ -216,12 +197,9 @@ class FloorConfig:
     """Simulated seconds of training after which it has sunk to the real floor everywhere; 0 ignores time."""
 
     def __post_init__(self) -> None:
-        _require(
-            self,
-            (0 <= self.share <= 1, "share must lie between 0 and 1"),
-            (min(self.top, self.difficulty, self.seconds) >= 0, "heights, difficulty and times cannot be negative"),
-            (not self.share or self.difficulty > 0 or self.seconds > 0, "the floor must sink with something"),
-        )
+        _check(self, least=dict.fromkeys(("share", "top", "difficulty", "seconds"), 0), most={"share": 1})
+        if self.share and not (self.difficulty or self.seconds):
+            raise TrainerError("the raised floor must sink with difficulty or time", expected="either above 0")
 
 
 @dataclass(frozen=True)
@@ -262,15 +240,11 @@ class RandomisationConfig:
     """Scaled copies of each terrain; 0 takes 5 for up to 13 terrains and 1 (as it is) for a generated grid."""
 
     def __post_init__(self) -> None:
-        _require(
+        _check(
             self,
-            (
-                min(self.friction[0], self.mass[0], self.kp[0], self.kd[0], self.armature[0]) > 0,
-                "ratios and friction must be positive",
-            ),
-            (self.joint_friction[0] >= 0 and self.delay[0] >= 0, "friction and delay cannot be negative"),
-            (self.terrain_scale[0] > 0 and self.terrain_variants >= 0, "the terrain must keep a size"),
-            (0 <= self.strength <= 2, "strength lies between 0 and 2"),
+            above=dict.fromkeys(("friction", "mass", "kp", "kd", "armature", "terrain_scale"), 0),
+            least=dict.fromkeys(("joint_friction", "delay", "terrain_variants", "strength"), 0),
+            most={"strength": 2},
         )
 
     def at_strength(self) -> RandomisationConfig:
@@ -326,6 +300,4 @@ class ParkourConfig:
     """Share of world steps in a log interval that may diverge before training stops."""
 
     def __post_init__(self) -> None:
-        _require(
-            self, (self.action_limit > 0 and self.log_every >= 1, "the action limit and log interval must be positive")
-        )
+        _check(self, above={"action_limit": 0}, least={"log_every": 1})
