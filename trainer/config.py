@@ -23,9 +23,9 @@ class EvaluationConfig:
     pushes: bool = False
     """Whether the robot is pushed."""
     finish: Literal["reach", "stop"] = "reach"
-    """What a trial asks. reach: a constant speed, as `realsim deploy` and the paper; it succeeds when base and feet are
-    over the goal platform. stop: a speed that falls with the distance to the goal, on which the robot must stay for a
-    second, as training has it."""
+    """When a trial succeeds. reach: at a constant speed, as `realsim deploy` and the paper, when base and feet are
+    over the goal platform. stop: at a speed that falls with the distance to the goal, when the robot has stayed there
+    for a second, as in training."""
     bin_m: float = 0.25
     """Metres a bin of the failures along the course."""
 

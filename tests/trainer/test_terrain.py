@@ -208,7 +208,7 @@ def test_a_report_that_cannot_be_right_is_refused(scene, change, message):
 
 @pytest.mark.parametrize(
     ("name", "message"),
-    [("mesh.ply", "cut off"), ("scene.xml", "does not compile"), ("report.json", "cannot be read")],
+    [("mesh.ply", "cut off"), ("scene.xml", "not plain XML"), ("report.json", "cannot be read")],
 )
 @pytest.mark.parametrize("share", [0.0, 0.5])
 def test_a_file_that_was_cut_off_is_named(scene, name, message, share):
