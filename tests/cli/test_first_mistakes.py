@@ -97,7 +97,7 @@ MISTAKES = {
     "diagnose --check": "realsim diagnose CASE --check",
     "export scene --to gazebo": "Gazebo: sdf",
     "export scene": "--to usd,urdf",
-    "export absent --to usd": "check the path",
+    "export zzzz --to usd": "check the path",
     "lint policy.onnx": "realsim model inspect policy.onnx",
     "log stairs.step": ".glb, .obj or .stl",
     "reconstruct frame logs --out s": "did you mean frames",

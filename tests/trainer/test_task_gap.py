@@ -253,7 +253,7 @@ def test_an_interval_that_is_none_is_refused(ends, diagnosis):
 
 
 def test_noise_of_depth_cannot_be_negative():
-    with pytest.raises(TrainerError, match="noise and mount"):
+    with pytest.raises(TrainerError, match="noise must be at least 0"):
         DepthConfig(noise=-1.0)
 
 

@@ -149,7 +149,7 @@ class RewardConfig:
 
     def __post_init__(self) -> None:
         if not all(isinstance(w, int | float) and isfinite(w) for w in self.weights.values()):
-            raise TrainerError("the weights of rewards must be finite numbers", found=f"{self.weights}")
+            raise TrainerError("weights must be finite numbers", found=f"{self.weights}")
         _check(self, above={"velocity_sigma": 0}, least={"edge_radius": 0})
 
 
