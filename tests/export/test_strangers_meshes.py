@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial import Delaunay
 
 from realsim.core.errors import ExportError
 from realsim.export import contact_mesh
@@ -175,3 +176,18 @@ def test_one_triangle_and_crossing_sheets(tmp_path: Path) -> None:
     assert contact["p95_mm"] < 5
     crossing = trimesh.util.concatenate([sheet(lambda x, y: 0.2 * x, 2, 10), sheet(lambda x, y: -0.2 * x, 2, 10)])
     assert ground_level(as_terrain(crossing)).z <= -0.19
+
+
+def test_triangulated_points_with_slivers_on_their_rim_are_a_height_field(tmp_path: Path) -> None:
+    """The upright slivers look like walls with nothing behind; sheets alone let balls through."""
+    rng = np.random.default_rng(4)
+    place = np.vstack([rng.uniform(-1.5, 1.5, (1200, 2)), [[-1.5, -1.5], [1.5, -1.5], [1.5, 1.5], [-1.5, 1.5]]])
+    x, y = place.T
+    height = 0.2 * np.sin(2 * x) * np.cos(1.5 * y) + 0.2 * (x > 0.5)
+    trimesh.Trimesh(np.column_stack([place, height]), Delaunay(place).simplices, process=False).export(
+        tmp_path / "a.ply"
+    )
+    (tmp_path / "out").mkdir()
+    contact = contact_mesh(tmp_path / "a.ply", tmp_path / "out", SceneConfig(contact_probes=400)).contact
+    assert contact["representation"] == "hfield"
+    assert contact["verdict"]["level"] != "bad"

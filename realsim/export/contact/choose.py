@@ -78,9 +78,12 @@ def fit_contact(
         noise = 0.0 if _closed(mesh) else noise_of(mesh.vertices)
     if config.contact == "auto" and (carried := shape.sides_in_columns(noise)) < SIDES:
         refused = [
-            {"representation": name, "refused": f"columns hold {carried:.0%} of the side faces"} for name in OF_COLUMNS
+            {"representation": name, "refused": f"columns hold {carried:.0%} of the side faces"}
+            for name in OF_COLUMNS
+            if name != "hfield"
         ]
-        names = tuple(name for name in names if name not in OF_COLUMNS)
+        # A height field is soon built, and may yet be best: slivers on the rim of a triangulation are side faces, too.
+        names = (*(name for name in names if name not in OF_COLUMNS), "hfield")
         if mesh.noise_m is None and 2 * noise > FINE:  # walls with one side are a scan's: it is as noisy as it shows
             mesh = replace(mesh, noise_m=noise, resolution=_mean_edge(mesh))
             shape = Shape(mesh, ground_z)  # of which no piece is exact
