@@ -56,6 +56,7 @@ def unseen() -> list[str]:
     none = [r for r in rows if r["cls"] == "none"]
     once = [r for r in rows if r["part"] == "logs"]
     flown, contract = stored("gap_flights")["rows"], stored("gap_contract")["rows"]
+    reports = stored("gap_reports")["rows"]
     damaged, wrong = [r for r in flown if r["truth"]], [r for r in contract if r["kind"]]
     normal, right = [r for r in flown if not r["truth"]], [r for r in contract if not r["kind"]]
     compared = [r for r in flown if r.get("since", "not compared") != "not compared"]
@@ -93,6 +94,8 @@ def unseen() -> list[str]:
         ("policies run wrongly: all mistakes named, and no other", flagged(wrong, "right"), "95 %"),
         ("policies run wrongly: a wrong answer that is sure", flagged(wrong, "wrong_and_sure"), "none"),
         ("policies run rightly: no mistake named", flagged(right, "right"), "40 of 40"),
+        ("public reports of errors in the robot: the cause, and no other", judged(reports, "right"), "all"),
+        ("the same: something else named", judged(reports, "wrong"), "none"),
     ]  # fmt: skip
     lines = [line for line in lines if compared or "since" not in line[0]]
     return ["| measure | result | bar |", "|---|---|---|", *(f"| {' | '.join(line)} |" for line in lines)]

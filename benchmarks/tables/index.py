@@ -86,6 +86,7 @@ INDEX = (
     ("The same frames as a folder and as a ROS bag", "bag_scene", "python benchmarks/scenes/bag_scene.py"),
     ("A depth camera that is late, turned, or right", "gap_depth", "python benchmarks/diagnosis/depth.py"),
     ("Mistakes between a policy and its robot", "gap_contract", "python benchmarks/diagnosis/contract.py"),
+    ("Public reports of errors in the robot, rebuilt", "gap_reports", "python benchmarks/diagnosis/reports.py"),
     ("Damaged input: tracebacks, hangs, silent changes", "fuzz", "python benchmarks/robustness/fuzz.py"),
     (
         "Recordings as strangers write them, read without a hand",
@@ -139,6 +140,7 @@ KEYS = {
     "gap_blind": ("case",),
     "gap_depth": ("case", "seed", "crossings"),
     "gap_contract": ("policy", "kind", "seed"),
+    "gap_reports": ("case", "seed"),
     "gap_next": ("seed", "case", "engine"),
     "gap_real": ("case", "engine"),
     "gap_put_in": ("case",),
