@@ -181,7 +181,7 @@ def test_one_triangle_and_crossing_sheets(tmp_path: Path) -> None:
 def test_triangulated_points_with_slivers_on_their_rim_are_a_height_field(tmp_path: Path) -> None:
     """The upright slivers look like walls with nothing behind; sheets alone let balls through."""
     rng = np.random.default_rng(4)
-    place = np.vstack([rng.uniform(-1.5, 1.5, (1200, 2)), [[-1.5, -1.5], [1.5, -1.5], [1.5, 1.5], [-1.5, 1.5]]])
+    place = np.vstack([rng.uniform(-1.5, 1.5, (2500, 2)), [[-1.5, -1.5], [1.5, -1.5], [1.5, 1.5], [-1.5, 1.5]]])
     x, y = place.T
     height = 0.2 * np.sin(2 * x) * np.cos(1.5 * y) + 0.2 * (x > 0.5)
     trimesh.Trimesh(np.column_stack([place, height]), Delaunay(place).simplices, process=False).export(
