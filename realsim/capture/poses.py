@@ -212,7 +212,7 @@ def _astray(frames: Sequence[Frame], reach: float) -> dict[int, str]:
         over = np.linalg.norm(at[2:] - at[:-2], axis=1)
     typical = float(np.median(away))
     out = {
-        int(i): f"its pose is {away[i]:.3g} away from the others' middle, theirs usually {typical:.3g}"
+        int(i): f"its pose is {away[i]:.3g} m away from the others' middle, theirs usually {typical:.3g} m"
         for i in np.flatnonzero(~(away <= FAR * typical + reach))
     }
     step = float(np.median(steps))

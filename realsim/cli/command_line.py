@@ -45,13 +45,15 @@ def main(argv: Sequence[str] | None = None) -> int:
         if as_json:
             _write(sys.stdout, _error(error.as_dict()))
         else:
-            _tell(f"error: {error.render()}", "red")
+            named = arguments[0] if arguments and arguments[0].isalpha() else "COMMAND"
+            _tell(f"error: {error.render()}".replace("realsim help COMMAND", f"realsim help {named}"), "red")
         return 2
     except KeyboardInterrupt:
         if as_json:
             _write(sys.stdout, _error({"error": "Interrupted", "message": "interrupted"}))
         else:
-            _tell("interrupted: nothing half-written is left; finished stages are kept and reused", "yellow")
+            kept = "" if "--no-cache" in sys.argv else "; finished stages are kept and reused"
+            _tell(f"interrupted: nothing half-written is left{kept}", "yellow")
         return 130
     except BrokenPipeError:
         _drop(sys.stdout)

@@ -12,7 +12,7 @@ import tyro
 class SceneConfig:
     contact: Annotated[str, tyro.conf.arg(metavar="{auto,boxes,hybrid,sheets,convex,hfield,sdf,hull}")] = "auto"
     """Collision representation; `auto` takes the cheapest that meets --contact-tolerance."""
-    contact_tolerance: tuple[float, float] = (0.005, 0.015)
+    contact_tolerance: Annotated[tuple[float, float], tyro.conf.arg(metavar="MEDIAN P95")] = (0.005, 0.015)
     """Largest error of contact in metres: median and 95th percentile."""
     contact_probes: int = 2000
     """Number of balls lowered to measure it."""

@@ -216,7 +216,9 @@ def mend(vertices: F64, triangles: NDArray[Any]) -> Mended:
 def _usable(vertices: F64, triangles: NDArray[Any], notes: list[str]) -> tuple[F64, NDArray[np.int32], int]:
     """(vertices, triangles with corners and an area, how many had none)."""
     if not len(triangles):
-        raise ExportError("the mesh has no triangles", hint="a point cloud has to be meshed first")
+        raise ExportError(
+            "the mesh has no triangles", hint="mesh a point cloud first: realsim reconstruct CLOUD --out scene"
+        )
     if len(triangles) > MAX_TRIANGLES:
         raise ExportError(
             "too many triangles",
