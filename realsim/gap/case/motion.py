@@ -177,7 +177,7 @@ FILTERED = 0.5
 def velocity_lag(case: Case) -> float:
     """Time constant, s, of the first-order filter through which joint_vel shows the slope of joint_pos; 0 where it has
     none. Drives filter what they difference, and tables hold differences to the sample before."""
-    left = np.zeros(len(LAGS))
+    shares = []
     for run in case.runs if case.has("joint_vel") and case.has("joint_pos") else ():
         step = min(usual_step(run.time), FINE)
         grid = np.arange(0.0, run.time[-1], step)
@@ -186,9 +186,13 @@ def velocity_lag(case: Case) -> float:
         slope = smooth(grid, run.time, run.signals["joint_pos"])[1]
         told = smooth(grid, grid, np.concatenate([np.zeros_like(speeds[:1]), way]))[1]
         size = np.maximum(np.std(slope, axis=0), 1e-3)
-        left += [float(np.mean(((low_passed(slope, lag, step) - told) / size) ** 2)) for lag in LAGS]
-    best = int(np.argmin(left))
-    return float(LAGS[best]) if LAGS[best] >= SHORTEST_LAG and left[best] < (1 - FILTERED) * left[0] else 0.0
+        left = np.array([np.mean(((low_passed(slope, lag, step) - told) / size) ** 2) for lag in LAGS])
+        shares.append(left / max(left[0], 1e-12))
+    if not shares:
+        return 0.0
+    usual = np.median(shares, axis=0)  # one spoilt run does not decide
+    best = int(np.argmin(usual))
+    return float(LAGS[best]) if LAGS[best] >= SHORTEST_LAG and usual[best] < 1 - FILTERED else 0.0
 
 
 def low_passed(values: F64, lag: float, step: float) -> F64:
