@@ -252,7 +252,7 @@ def match_descriptors(A: View, B: View) -> tuple[NDArray[np.int64], NDArray[np.i
     return keep, b[keep]
 
 
-def rigid_ransac(P: F64, Q: F64, rng: np.random.Generator, trials: int = 200) -> tuple[F64, Bool] | None:
+def rigid_ransac(P: F64, Q: F64, rng: np.random.Generator, trials: int = 1000) -> tuple[F64, Bool] | None:
     """T with P = T Q from noisy matches (M, 3) by three-point samples; None below 12 inliers.
 
     An inlier is off by less than 1 percent of its depth plus 1 cm: three times the depth noise that consumer sensors
