@@ -101,17 +101,15 @@ def open_parts(path: Path, given: str) -> tuple[Any, Any]:
     """
     whole = open_network(path)
     model = [(n, v) for n, v in _fields(memoryview(path.read_bytes()))]
-    graph = [f for n, v in model if n == MODEL_GRAPH and not isinstance(v, int) for f in _fields(v)]
+    graph = [f for v in _parts_of(model, MODEL_GRAPH) for f in _fields(v)]
     others = [i.name for i in whole.get_inputs() if i.name != given]
     alone, mixed, parts = {given}, set(others), dict[str, list[memoryview]](head=[], both=[], tail=[])
     needed = list[str]()
-    for number, node in graph:
-        if number != GRAPH_NODE or isinstance(node, int):
-            continue
+    for node in _parts_of(graph, GRAPH_NODE):
         fields = list(_fields(node))
-        if any(n in ATTRIBUTE_GRAPHS for k, v in fields if k == NODE_ATTRIBUTE for n, _ in _fields(v)):  # type: ignore[arg-type]
+        if any(n in ATTRIBUTE_GRAPHS for v in _parts_of(fields, NODE_ATTRIBUTE) for n, _ in _fields(v)):
             return None, whole
-        takes, makes = ([str(v, "utf-8") for n, v in fields if n == k] for k in (NODE_INPUT, NODE_OUTPUT))  # type: ignore[arg-type]
+        takes, makes = ([str(v, "utf-8", "replace") for v in _parts_of(fields, k)] for k in (NODE_INPUT, NODE_OUTPUT))
         part = "tail" if mixed.intersection(takes) else "head" if alone.intersection(takes) else "both"
         parts[part].append(node)
         {"head": alone, "both": set[str](), "tail": mixed}[part].update(makes)
@@ -134,6 +132,11 @@ def open_parts(path: Path, given: str) -> tuple[Any, Any]:
     if any(o.type != "tensor(float)" for o in head.get_outputs()):
         return None, whole
     return head, session(parts["both"] + parts["tail"], others + needed, [o.name for o in whole.get_outputs()][:1])
+
+
+def _parts_of(fields: Iterable[tuple[int, int | memoryview]], number: int) -> list[memoryview]:
+    """The messages and texts among fields of this number; an integer there is a field that no ONNX reader knows."""
+    return [v for n, v in fields if n == number and not isinstance(v, int)]
 
 
 def open_session(path: Path, model: str | bytes) -> Any:

@@ -36,3 +36,15 @@ def test_a_network_that_mixes_its_inputs_at_once_stays_whole(tmp_path: Path) -> 
     head, tail = open_parts(tmp_path / "sum.onnx", "b")
     assert head is None
     assert [i.name for i in tail.get_inputs()] == ["a", "b"]
+
+
+def test_an_integer_where_a_node_has_texts_is_passed_over_as_onnxruntime_does(tmp_path: Path) -> None:
+    onnx = pytest.importorskip("onnx", reason="onnx is not installed: pip install -e '.[dev]'")
+    model = onnx.load(str(POLICIES[0]))
+    node = model.graph.node[0].SerializeToString()
+    damaged = onnx.NodeProto.FromString(node + b"\x28\x01\x08\x01")  # fields 5 (attributes) and 1 (inputs) as integers
+    model.graph.node[0].CopyFrom(damaged)
+    onnx.save(model, str(tmp_path / "odd.onnx"))
+    head, tail = open_parts(tmp_path / "odd.onnx", "depth")
+    assert head is not None
+    assert "depth" not in [i.name for i in tail.get_inputs()]

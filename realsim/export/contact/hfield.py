@@ -12,7 +12,7 @@ from realsim.export.contact.shape import Shape
 from realsim.export.heights import HeightGrid, height_grid
 
 BASE = 0.1  # metres of solid below the lowest node
-MOST_NODES = 4_000_000  # that `auto` takes: 100 MB in a scene, and half a gigabyte while they are made
+MOST_NODES = 4_000_000  # that `auto` takes: 100 MB in a scene, half a gigabyte while they are made; a limit, not tuned
 
 
 def hfield(shape: Shape, config: SceneConfig) -> ContactModel:
