@@ -11,6 +11,8 @@ from training.pointmap.draw import Draw
 
 D435_FOCAL = 0.961
 """Focal length over width of a D435i's colour camera at 640x480."""
+ASKEW = 0.2
+"""Share of scenes whose camera is held askew, as a hand does that reaches under or around something."""
 
 
 def intrinsics(draw: Draw, scenes: int, size: tuple[int, int]) -> Tensor:
@@ -52,7 +54,8 @@ def path(draw: Draw, scenes: int, views: int) -> tuple[Tensor, Tensor]:
     drift = draw.uniform(0.0, 1.2, b, 1) * step * step.new_tensor([1, 1, 0.2]) + draw.normal(0.3, b, 3)
     s = torch.linspace(-0.5, 0.5, views, device=draw.device) + draw.uniform(-0.25, 0.25, b, views) / views
     shake = draw.log_uniform(0.003, 0.05, b, 1, 1) * draw.normal(1, b, views, 7)
-    roll = draw.normal(0.06, b, 1) + shake[..., 6]
+    askew = draw.normal(0.5, b, 1) + draw.normal(0.25, b, views)
+    roll = draw.normal(0.06, b, 1) + shake[..., 6] + torch.where(draw.chance(ASKEW, b, 1), askew, 0.0)
 
     def at(time: Tensor, shaken: Tensor) -> Tensor:
         u = time[..., None]

@@ -82,12 +82,14 @@ def ramps(rng: Rng) -> list[Item]:
 
 
 def furniture(rng: Rng) -> list[Item]:
-    """Tables, shelves, cupboards and stools about a free middle."""
+    """Tables, shelves, cupboards, stools and chairs about a free middle, or a chair in it."""
     out: list[Item] = []
     for _ in range(int(rng.integers(2, 5))):
         angle, far = rng.uniform(-np.pi, np.pi), rng.uniform(0.8, 2.6)
         at = np.array([far * np.cos(angle), far * np.sin(angle), 0.0])
-        build = (_table, _shelf, _cupboard, _stool)[int(rng.integers(4))]
+        build = (_table, _shelf, _cupboard, _stool, _chair)[int(rng.integers(5))]
+        if build is _chair and rng.random() < 0.5:
+            at = at * 0.2
         yaw = exp_so3([0.0, 0.0, rng.uniform(-np.pi, np.pi)])
         out += [Item(i.kind, at + yaw @ i.centre, i.half, yaw @ i.R) for i in build(rng)]
     return out + clutter(rng, int(rng.integers(2, 10)), ring=0.2)
@@ -139,6 +141,17 @@ def _stool(rng: Rng) -> list[Item]:
     r, h = rng.uniform(0.12, 0.2), rng.uniform(0.3, 0.6)
     seat, pole = item("cylinder", (0, 0, h), (r, r, 0.03)), item("cylinder", (0, 0, h / 2), (0.03, 0.03, h / 2))
     return [seat, pole, item("cylinder", (0, 0, 0.015), (r, r, 0.015))]
+
+
+def _chair(rng: Rng) -> list[Item]:
+    """Seat, leaning back, four thin legs, some with arms."""
+    a, h, leg = rng.uniform(0.2, 0.28), rng.uniform(0.38, 0.5), rng.uniform(0.01, 0.025)
+    lean, tall = rng.uniform(0.0, 0.35), rng.uniform(0.2, 0.35)
+    back = item("box", (-a - tall * np.sin(lean), 0, h + tall * np.cos(lean)), (0.015, a, tall), tilt=-lean)
+    legs = [item("box", (sx * a, sy * a, h / 2), (leg, leg, h / 2)) for sx in (-1, 1) for sy in (-1, 1)]
+    arms = [item("box", (0, s * a, h + 0.2), (a, leg, 0.015)) for s in (-1, 1)] if rng.random() < 0.6 else []
+    posts = [item("box", (a, s * a, h + 0.1), (leg, leg, 0.1)) for s in (-1, 1)] if arms else []
+    return [item("box", (0, 0, h), (a, a, 0.02), tilt=rng.uniform(-0.15, 0.05)), back, *legs, *arms, *posts]
 
 
 LAYOUTS: dict[str, tuple[float, Callable[[Rng], list[Item]]]] = {
