@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import re
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import date
@@ -49,6 +50,8 @@ class TextTable:
     """Column -> its numbers, (T,) or of lists (T, K), in blocks of rows; a missing one is NaN."""
     text: list[str] = field(default_factory=list)
     """Columns that hold none."""
+    words: dict[str, list[str]] = field(default_factory=dict)
+    """Column of text of which at most MAX_WIDTH cells differ, as names do -> its cells."""
     odd: dict[str, tuple[str, int]] = field(default_factory=dict)
     """Column of numbers -> its first cell that is neither a number nor empty, and the row of that."""
     notes: list[str] = field(default_factory=list)
@@ -62,15 +65,21 @@ class TextTable:
         """Add rows with their numbers; returns how many numbers they held."""
         size = 0
         for i, name in enumerate(self.parts):
-            if not name or name in self.text:  # a column without a name is a table's index
+            if not name:  # a table's index
                 continue
             cells_of, before = [row[i] for _, row in block], self.parts[name]
+            if name in self.text:
+                self._spell(name, cells_of)
+                continue
             if all(not cell.strip() for cell in cells_of):
                 column: F64 | None = np.full((len(block), *(before[0].shape[1:] if before else ())), np.nan)
             else:
                 column = cells(self.path, name, cells_of, [number for number, _ in block])
             if column is None or (before and column.ndim != before[0].ndim):
                 self.text.append(name)
+                if not before:
+                    self.words[name] = []
+                    self._spell(name, cells_of)
                 self.parts[name] = []
                 self.odd.pop(name, None)
                 continue
@@ -79,6 +88,12 @@ class TextTable:
             before.append(column)
             size += column.size
         return size
+
+    def _spell(self, name: str, found: Sequence[str]) -> None:
+        if name in self.words:
+            self.words[name] += [sys.intern(cell.strip()) for cell in found]
+            if len(set(self.words[name])) > MAX_WIDTH:
+                del self.words[name]
 
 
 def read_text_table(

@@ -44,6 +44,44 @@ class Types:
         return lambda data: read(data, full), ""
 
 
+def protobuf_decoder(name: str, definition: bytes) -> tuple[Callable[[bytes], Any] | None, str]:
+    """(decoder of Protobuf messages of a type into dictionaries, or None; why not).
+
+    `definition`: a FileDescriptorSet with what the type depends on, as https://mcap.dev/spec/registry has it.
+    """
+    extra("google.protobuf", "logs", "reading Protobuf messages")
+    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+
+    pool = descriptor_pool.DescriptorPool()
+    try:
+        for file in descriptor_pb2.FileDescriptorSet.FromString(definition).file:
+            pool.AddSerializedFile(file.SerializeToString())
+        kind = message_factory.GetMessageClass(pool.FindMessageTypeByName(name))
+    except Exception as error:  # a broken definition; protobuf raises several types
+        return None, f"unknown definition ({type(error).__name__}: {str(error)[:80]})"
+    return lambda data: _members_of(kind.FromString(data)), ""
+
+
+def _members_of(message: Any) -> dict[str, Any]:
+    """A Protobuf message as a dictionary; a moment as ROS has it."""
+    if message.DESCRIPTOR.full_name in ("google.protobuf.Timestamp", "google.protobuf.Duration"):
+        return {"sec": message.seconds, "nanosec": message.nanos}
+    found: dict[str, Any] = {}
+    for part in message.DESCRIPTOR.fields:
+        value = getattr(message, part.name)
+        if part.type == part.TYPE_BYTES:  # pictures and the like
+            continue
+        if part.message_type is None:
+            found[part.name] = list(value) if part.is_repeated else value
+        elif part.message_type.GetOptions().map_entry:
+            found[part.name] = {str(k): v for k, v in value.items() if not hasattr(v, "DESCRIPTOR")}
+        elif part.is_repeated:
+            found[part.name] = [_members_of(v) for v in value]
+        elif message.HasField(part.name):
+            found[part.name] = _members_of(value)
+    return found
+
+
 def mcap_files(path: Path) -> list[Path]:
     """The file, or those of a ROS 2 bag's folder in the order in which they were recorded (bag_2 before bag_10)."""
     if path.is_dir():

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from realsim.core.bags import Types, mcap_files, mcap_records
+from realsim.core.bags import Types, mcap_files, mcap_records, protobuf_decoder
 from realsim.core.bags.definitions import register
 from realsim.core.errors import RealsimError, extra
 
@@ -75,14 +75,15 @@ class Bag:
             return channel.topic, kind, None
         if channel.message_encoding == "json":
             return channel.topic, kind, json.loads
-        known = schema is not None and schema.encoding in ("ros2msg", "ros2idl", "ros1msg")
-        if not known or channel.message_encoding not in ("cdr", "ros1"):
-            how = f"{channel.message_encoding or '?'} with {schema.encoding if schema is not None else 'no'}"
-            self.failures[channel.topic] = f"{kind or 'no type'}: {how} definition is not read"
-            return channel.topic, kind, None
-        decode, why = types.decoder(schema.name, schema.encoding, schema.data.decode("utf-8", "replace"))
+        coded = channel.message_encoding or "?", schema.encoding if schema is not None else "no"
+        if coded == ("protobuf", "protobuf"):
+            decode, why = protobuf_decoder(schema.name, schema.data)
+        elif coded[0] in ("cdr", "ros1") and coded[1] in ("ros2msg", "ros2idl", "ros1msg"):
+            decode, why = types.decoder(schema.name, schema.encoding, schema.data.decode("utf-8", "replace"))
+        else:
+            decode, why = None, f"{coded[0]} with {coded[1]} definition is not read"
         if decode is None:
-            self.failures[channel.topic] = f"{kind}: {why}"
+            self.failures[channel.topic] = f"{kind or 'no type'}: {why}"
         return channel.topic, kind, decode
 
     def _of_bag(self, wanted: Callable[[str, str], bool]) -> Iterator[tuple[Any, ...]]:

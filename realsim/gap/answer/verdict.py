@@ -13,6 +13,9 @@ from realsim.gap.answer.check import Check
 from realsim.gap.inference.causes.leftover import is_gap
 from realsim.gap.verdicts import GapVerdict
 
+RIGHT = "what a right model leaves by sensor noise and small errors"
+USUAL = "the usual differences between robots of one kind (a few per cent of friction, gains, masses)"
+
 
 @dataclass(frozen=True)
 class Fitted:
@@ -59,13 +62,11 @@ def judge(
             holds zero, a law that the rest still looks like, a stronger cause that was dropped.
     """
     ends = tuple(at_an_end)
-    came = (
-        f"{fitted.before:.1f} times the noise floor before, {fitted.left.mean():.2f} after (mean square, fitted runs)"
-    )
+    allowed = f"{'the causes and ' if causes else ''}{USUAL} are allowed for"
+    came = f"the simulator's error is {times(fitted.before)} {RIGHT}, and {times(fitted.left.mean())} once {allowed}"
     if not causes:
         verdict = GapVerdict.UNEXPLAINED if is_gap(fitted.left / figures.EXCESS) else GapVerdict.NO_GAP
-        said = f"{fitted.left.mean():.2f} times the noise floor stays beside everyday deviations ({fitted.before:.1f} "
-        return Judgement(verdict, (f"{said}without them)",))
+        return Judgement(verdict, (came,))
     low, high = checked.ci90
     if not checked.holds:
         doubt = f"the causes do not hold: of the check's squared error {checked.fraction:z.0%} goes, 90 % interval "
@@ -94,10 +95,15 @@ def rest(fitted: Fitted, checked: Check, unexplained_share: float) -> str:
     if is_gap(fitted.left) and fitted.share > unexplained_share:
         return f"{fitted.share:.0%} of the gap stays in the fitted runs"
     if (stays := _but_the_worst(fitted.left)) > figures.EXPLAINED:
-        return f"{stays:.0f} times the noise floor stays in the fitted runs"
+        return f"in the fitted runs an error of {times(stays)} {RIGHT} stays"
     if checked.beside > figures.EXPLAINED and checked.unexplained > unexplained_share:
-        return f"{checked.unexplained:.0%} of the gap stays in the check, {checked.beside:.0f} times the noise floor"
+        return f"in the check {checked.unexplained:.0%} of the gap stays, {times(checked.beside)} {RIGHT}"
     return ""
+
+
+def times(mean_square: float) -> str:
+    """A mean square in units of the floor as words: 2.4 times."""
+    return f"{mean_square**0.5:.2g} times"
 
 
 def _but_the_worst(left: F64) -> float:

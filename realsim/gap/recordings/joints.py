@@ -22,7 +22,7 @@ TICKS = 4096
 """Steps a turn of hobby servos' encoders (Dynamixel X, Feetech STS)."""
 MARGIN = 0.05
 """rad or m beyond its range at which a joint may still be read."""
-IN_TURNS = 0.99
+SURELY = 0.99
 """Share of the samples within the ranges, read as turns, from which a missing unit is in doubt."""
 IN_RANGE = 0.5
 """Share of the samples within the joints' ranges below which positions are in doubt."""
@@ -65,10 +65,10 @@ def position(e: Evidence) -> None:
     unit, offset, why = _unit(ranges, values, source.unit)
     size = ANGLE.get(unit, 2 * np.pi / TICKS)
     values = (values - offset) * size
-    turns = not source.unit and unit == "rad" and _share_within(ranges, 2 * np.pi * values) > IN_TURNS
-    if turns and np.isfinite(ranges).any():
+    turns = not source.unit and unit == "rad" and _share_within(ranges, 2 * np.pi * values) > SURELY
+    if turns:  # joints without ranges are within them in any unit
         doubtful = True
-        why += "; as turns they would be, too: give the unit in the column's name, q1 [rad]"
+        why += "; in turns they may be, too: give the unit in the column's name, q1 [rad]"
     signs, turned = _signs(ranges, names, values)
     evidence = [f"by {source.why}", how, why, *turned, _within(ranges, names, values * signs)]
     if _share_within(ranges, values * signs) < IN_RANGE:

@@ -1,4 +1,4 @@
-"""Messages into columns: any message whose definition is known, from ROS or JSON, also of types never heard of.
+"""Messages into columns: any whose definition is known, from ROS, Protobuf or JSON, also of types never heard of.
 
 Numbers keep the names of the message (`motor_state.q`); lists of parts become columns; x, y, z (, w) become one field;
 a list of names in the same message labels the columns. Other text, pictures and clouds are left out.
@@ -182,7 +182,7 @@ def _walk(part: Any, path: str, leaves: dict[str, Any], texts: dict[str, tuple[s
             continue
         elif isinstance(value, (list, tuple)):
             _walk_list(value, here, leaves, texts)
-        elif name in ("header", "stamp"):
+        elif name in ("header", "stamp") or (is_clock(name) and _stamp(value)):
             stamp = stamp or _stamp(value)
         else:
             _walk(value, here, leaves, texts)

@@ -49,6 +49,8 @@ TYPES: dict[str, dict[str, tuple[str, str]]] = {
     "sensor_combined": {"gyro_rad": ("imu_gyro", "rad/s"), "accelerometer_m_s2": ("imu_acc", "m/s^2")},
 }  # fmt: skip
 
+IN_TURNS = {"pos_estimate": "rev", "vel_estimate": "rev/s"}
+"""Names of an ODrive's signals, which count turns (docs.odriverobotics.com, ODrive.Axis)."""
 _NOT = {
     word
     for words in (
@@ -134,7 +136,7 @@ def meaning(stream: str, kind: str, member: str) -> tuple[str, str, str]:
         return role, unit, f"{member} of {kind}"
     if known_type(kind):
         return "", "", ""  # the type is known, and this member is none of these
-    unit = unit_of(member)
+    unit = unit_of(member) or next((u for name, u in IN_TURNS.items() if name in plain(member)), "")
     above, _, ending = member.rpartition(".")
     found = english(member if ending in ("data", "values", "value") else ending)
     if set(found) & _NOT:

@@ -88,7 +88,7 @@ def _field(recording: Recording, role: str, name: str) -> tuple[Recording, Use]:
 
 def _column(recording: Recording, text: str) -> tuple[Stream, F64, str, str]:
     """(stream, values (T,), label, unit) of one column: of a table, or FIELD[item] of a topic."""
-    known: list[str] = []
+    known = [clock for stream in recording.streams for clock in stream.clocks]
     for sign, name in ((1.0, text), (-1.0, text[1:])) if text.startswith("-") else ((1.0, text),):
         for stream in recording.streams:
             for member, field in stream.fields.items():

@@ -14,8 +14,9 @@ import numpy as np
 from realsim.core.errors import GapError
 from realsim.core.text_table import MAX_WIDTH, cells, odd_cell
 from realsim.core.types import F64
-from realsim.gap.recordings.names import seconds_of
+from realsim.gap.recordings.names import is_sent, seconds_of
 from realsim.gap.recordings.recording import WHOLE, Field, Stream, Window, in_window
+from realsim.gap.recordings.signals import at, held
 from realsim.gap.recordings.vocabulary import KINDS, SIDES, SIGNALS, english, is_clock, plain, split_unit, time_unit
 
 _AXIS = re.compile(r"^(?P<stem>.*?)[._\s\[(]*(?P<axis>[xyzw])[\])]?$")
@@ -52,6 +53,85 @@ def table(path: Path, name: str, columns: Mapping[str, F64], *, window: Window =
     keep = in_window(seconds_of(first, clocks[first])[0], window)
     kept = {n: replace(f, values=f.values[keep]) for n, f in fields.items()}
     return Stream(name, "table", {n: v[keep] for n, v in clocks.items()}, kept)
+
+
+def labelled(
+    path: Path,
+    clock: Mapping[str, F64],
+    parts: Mapping[str, F64],
+    labels: Sequence[str],
+    window: Window,
+    kind: str = "table",
+) -> Stream:
+    """A stream of fields (T, K) whose columns are those joints', at one clock (T,)."""
+    stream = table(path, "", {**clock, **parts}, window=window)
+    named = {
+        n: replace(f, labels=tuple(labels), columns=tuple(f"{n}_{label}" for label in labels))
+        if n in parts and f.width == len(labels)
+        else f
+        for n, f in stream.fields.items()
+    }
+    return replace(stream, type=kind, fields=named)
+
+
+def a_column_a_joint(
+    columns: Mapping[str, F64], words: Mapping[str, Sequence[str]], notes: list[str]
+) -> tuple[dict[str, F64], dict[str, F64], list[str]] | None:
+    """(clock (T,), column -> (T, K), the K joints) of a table with a row a joint; None for any other one.
+
+    Its rows name each of the joints in turn, or one joint after the other, each with a time of its own.
+
+    Args:
+        columns: (R,) or lists.
+        words: column of text -> its R cells.
+        notes: what is worth saying is added.
+    """
+    ids = {
+        n: v
+        for n, v in columns.items()
+        if v.ndim == 1 and set(english(n)) <= {"joint", *_COUNTS} and (v % 1 == 0).all()
+    }
+    clock = next((n for n, v in columns.items() if n not in ids and v.ndim == 1 and is_clock(n)), "")
+    for place, cells_of in {**words, **ids}.items() if clock else ():
+        names, code = np.unique(np.array(cells_of), return_inverse=True)
+        each = [np.flatnonzero(code == k) for k in range(len(names))]
+        if not 1 < len(names) <= MAX_WIDTH or min(map(len, each)) < max(EVEN * max(map(len, each)), LEAST_CLOCK):
+            continue
+        turns, times = np.diff(code) != 0, columns[clock]
+        in_turn = turns.mean() > EVEN and (code[len(names) :] == code[: -len(names)]).mean() > EVEN
+        one_by_one = turns.sum() == len(names) - 1 and (np.diff(times)[turns] < 0).all()
+        if not (in_turn or one_by_one) or not all(rises_evenly(times[rows]) for rows in each):
+            continue
+        order = sorted(range(len(names)), key=lambda k: each[k][0])
+        labels = [str(names[k]) if place in words else f"joint_{int(names[k])}" for k in order]
+        stamps = np.unique(times)
+        together = len(stamps) < 1.5 * max(map(len, each))  # else each joint was read at a moment of its own
+        stamps = stamps if together else times[each[order[0]]]
+        notes.append(f"a row for each of {len(names)} joints ({place}): taken as a column for each")
+        notes += (
+            [] if together else [f"the joints were read one after another: all are put on the times of {labels[0]}"]
+        )
+        parts = {}
+        for name, values in columns.items():
+            if name not in (clock, place) and values.ndim == 1:
+                put = _where_stamped if together else held if is_sent(name) else at
+                parts[name] = np.concatenate(
+                    [put(times[each[k]], values[each[k], None], stamps) for k in order], axis=1
+                )
+        if len(parts) == 1 and set(english(next(iter(parts)))) <= {
+            "observation"
+        }:  # variable and value: labels are signals
+            (values,) = parts.values()
+            return {clock: stamps}, dict(zip(labels, values.T, strict=True)), []
+        return {clock: stamps}, parts, labels
+    return None
+
+
+def _where_stamped(times: F64, values: F64, wanted: F64) -> F64:
+    """(T, K) of (N, K) values at the moments that they are of; missing at others."""
+    found = np.full((len(wanted), values.shape[1]), np.nan)
+    found[np.searchsorted(wanted, times)] = values
+    return found
 
 
 def as_long_as_most(arrays: Mapping[str, F64]) -> dict[str, F64]:

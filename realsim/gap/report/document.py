@@ -12,6 +12,7 @@ from pathlib import Path
 from realsim.core.files import write_text
 from realsim.gap.answer.brief import NOTHING_SAID, Row, brief
 from realsim.gap.answer.diagnosis import Diagnosis
+from realsim.gap.answer.verdict import RIGHT
 from realsim.gap.report.evidence import (
     assumptions_card,
     causes_card,
@@ -100,10 +101,10 @@ def _facts(found: Diagnosis) -> list[tuple[str, str, str]]:
     said = found.statistics
     size, facts = said.get("gap_over_floor"), []
     if size is not None:
-        facts.append(("Error of the simulator", times(size**0.5), "the noise floor (root mean square)"))
+        facts.append(("Error of the simulator", times(size**0.5), f"{RIGHT} (root mean square)"))
         if found.causes:
             after = max(size * found.shrinkage["after"], 0.0) ** 0.5
-            facts.append(("With the patch", times(after), "the noise floor; causes only"))
+            facts.append(("With the patch", times(after), "that; causes only"))
     runs, unseen = found.shrinkage.get("runs", []), found.shrinkage.get("unseen", True)
     note = "held out: nothing was fitted to it, the verdict is decided with it" if unseen else "no run was held out"
     facts.append(("Checked on", ", ".join(runs[:3]) + (" …" if len(runs) > 3 else "") or "no run", note))

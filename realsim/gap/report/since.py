@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from realsim.gap.answer.diagnosis import Diagnosis
+from realsim.gap.answer.verdict import RIGHT, times
 from realsim.gap.effects.lookup import places_of
 from realsim.gap.report.words import title_of
 from realsim.report import page, svg
@@ -34,8 +35,8 @@ def since_card(found: Diagnosis) -> list[str]:
     parts.append(
         page.bullets(
             [
-                f"Mean square of the earlier log, in units of the noise floor: {said['left_before']:.2f}; of the later "
-                f"one {said['left_now_without_change']:.2f} without and {said['left_now']:.2f} with the change.",
+                f"Error of the earlier log: {times(said['left_before'])} {RIGHT}; of the later one "
+                f"{times(said['left_now_without_change'])} without and {times(said['left_now'])} with the change.",
                 *since["notes"],
             ]
         )

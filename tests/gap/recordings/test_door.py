@@ -260,3 +260,65 @@ def test_encoder_steps_are_steps_also_where_the_model_has_no_ranges(arm: Log, tm
     found = propose(read(path), target)
     run = run_arrays(found, found.recordings[0])
     np.testing.assert_allclose(run.arrays["joint_pos"], arm.pos, atol=1e-3)
+
+
+def test_what_ros_prints_without_a_header(arm: Log, tmp_path: Path) -> None:
+    """`ros2 topic echo --csv` of joint states beside a table of commands; other messages with names are refused."""
+    sec, names = np.floor(arm.time), ",".join(JOINTS)
+    rows = zip(sec, 1e9 * (arm.time - sec), arm.pos, arm.vel, strict=True)
+    lines = [f"{s:.0f},{ns:.0f},,{names}," + ",".join(f"{x:.9g}" for x in (*q, *v)) for s, ns, q, v in rows]
+    folder = tmp_path / "run"
+    folder.mkdir()
+    state = folder / "a_state.csv"
+    state.write_text("\n".join(lines))
+    write(folder / "a_cmd.csv", "time [s],shoulder_cmd,elbow_cmd", arm.time, arm.command)
+    check(folder, tmp_path, arm)
+    (recording,) = read(state)
+    fields = recording.streams[0].fields
+    assert list(fields) == ["position", "velocity"]
+    assert fields["velocity"].labels == JOINTS
+    state.write_text("\n".join(f"{line},1,2,3" for line in lines))
+    with pytest.raises(GapError, match=r"without a header[\s\S]*ros2 bag record"):
+        read(state)
+
+
+@pytest.mark.parametrize("kind", ["in turn", "one by one", "numbered", "a moment each", "variable and value"])
+def test_a_row_a_joint(kind: str, arm: Log, tmp_path: Path) -> None:
+    labels = ("1", "2") if kind == "numbered" else JOINTS
+    late = 0.004 if kind == "a moment each" else 0.0
+    rows = [
+        (t + k * late, label, arm.pos[i, k], arm.command[i, k])
+        for i, t in enumerate(arm.time) for k, label in enumerate(labels)
+    ]  # fmt: skip
+    if kind == "one by one":
+        rows.sort(key=lambda row: row[1] == JOINTS[1])
+    head, cells = "time,joint,position,goal_position", [f"{t:.6f},{n},{q:.9g},{u:.9g}" for t, n, q, u in rows]
+    if kind == "variable and value":
+        head = "time,variable,value"
+        cells = [
+            f"{t:.6f},{n}_{what},{x:.9g}" for t, n, *of in rows for what, x in zip(("pos", "cmd"), of, strict=True)
+        ]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([head, *cells]))
+    if not late:
+        check(path, tmp_path, arm)
+    found = propose(read(path), load_target(save(tmp_path, ARM)))
+    assert found.complete
+    assert ("one after another" in " ".join(found.warnings)) == bool(late)
+
+
+def test_turns_where_no_range_tells_them(arm: Log, tmp_path: Path) -> None:
+    """An ODrive's names give its unit; other names leave it in doubt."""
+    target = load_target(save(tmp_path, re.sub(r' range="[^"]*" limited="true"', "", ARM)))
+    for names, in_doubt in (("q{}", True), ("axis{}.pos_estimate", False)):
+        head = ",".join(["t", *(names.format(k) for k in (0, 1)), "axis0.input_pos", "axis1.input_pos"])
+        path = write(tmp_path / "a.csv", head, arm.time, 0.5 / np.pi * arm.pos, 0.5 / np.pi * arm.command)
+        place = propose(read(path), target).assignments["joint_pos"]
+        assert place.doubtful is in_doubt
+        assert (place.unit == "rev") is not in_doubt
+
+
+def test_a_clock_that_is_not_there(arm: Log, tmp_path: Path) -> None:
+    path = write(tmp_path / "a.csv", "uptime_ms,q1,q2", 1e3 * arm.time, arm.pos)
+    with pytest.raises(GapError, match="did you mean uptime_ms"):
+        propose(read(path), use=["time=uptime"])

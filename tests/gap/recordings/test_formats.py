@@ -120,8 +120,13 @@ def as_torch(folder: Path, log: Log) -> Path:
     return folder / "run.pt"
 
 
+def as_protobuf(folder: Path, log: Log) -> Path:
+    return writers.mcap_protobuf(folder / "run.mcap", log, JOINTS)
+
+
 FORMATS = [
     as_mcap,
+    as_protobuf,
     as_bag1,
     as_bag2,
     as_lerobot,
@@ -156,7 +161,7 @@ def test_what_is_read_is_what_was_driven(write: Callable[[Path, Log], Path], arm
         if signal in run.signals:
             np.testing.assert_allclose(run.signals[signal], truth[same], atol=2e-2)
     logged = {"joint_vel"} if write not in (as_lerobot, as_npz) else set()
-    logged |= {"joint_torque"} if write in (as_mcap, as_bag1, as_bag2, as_parquet, as_wide_csv) else set()
+    logged |= {"joint_torque"} if write in (as_mcap, as_protobuf, as_bag1, as_bag2, as_parquet, as_wide_csv) else set()
     assert logged == {s for s in ("joint_vel", "joint_torque") if s in run.signals}
 
 

@@ -66,6 +66,44 @@ def mcap_ros2(path: Path, messages: Sequence[tuple[str, str, str, float, dict[st
     return path
 
 
+def mcap_protobuf(path: Path, log: Log, names: Sequence[str]) -> Path:
+    """Joint states and commands in messages of someone's own, with their definitions, as Foxglove's writers do it."""
+    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
+    from mcap.writer import Writer
+
+    file = descriptor_pb2.FileDescriptorProto(name="lab.proto", package="lab", syntax="proto3")
+    file.dependency.append("google/protobuf/timestamp.proto")
+    state = file.message_type.add(name="JointState")
+    kind = descriptor_pb2.FieldDescriptorProto
+    state.field.add(name="timestamp", number=1, type=kind.TYPE_MESSAGE, type_name=".google.protobuf.Timestamp", label=1)
+    state.field.add(name="name", number=2, type=kind.TYPE_STRING, label=kind.LABEL_REPEATED)
+    for number, part in enumerate(("position", "velocity", "effort"), 3):
+        state.field.add(name=part, number=number, type=kind.TYPE_DOUBLE, label=kind.LABEL_REPEATED)
+    both, stamps = descriptor_pb2.FileDescriptorSet(), descriptor_pb2.FileDescriptorProto()
+    timestamp_pb2.DESCRIPTOR.CopyToProto(stamps)
+    both.file.extend([stamps, file])
+    pool = descriptor_pool.DescriptorPool()
+    for one in both.file:
+        pool.Add(one)
+    make = message_factory.GetMessageClass(pool.FindMessageTypeByName("lab.JointState"))
+    with path.open("wb") as out:
+        writer = Writer(out)
+        writer.start()
+        schema = writer.register_schema("lab.JointState", "protobuf", both.SerializeToString())
+        topics = [writer.register_channel(t, "protobuf", schema) for t in ("/joint_states", "/joint_commands")]
+        for t, q, v, tau, u in zip(log.time, log.pos, log.vel, log.torque, log.command, strict=True):
+            at = timestamp_pb2.Timestamp(seconds=int(EPOCH + t), nanos=round((EPOCH + t) % 1 * 1e9) % 10**9)
+            for topic, parts in zip(
+                topics, ({"position": q, "velocity": v, "effort": tau}, {"position": u}), strict=True
+            ):
+                message = make(name=names, **parts)
+                message.timestamp.MergeFromString(at.SerializeToString())
+                now = round((EPOCH + t) * 1e9)
+                writer.add_message(topic, log_time=now, publish_time=now, data=message.SerializeToString())
+        writer.finish()
+    return path
+
+
 def joint_states(
     log: Log, names: Sequence[str], *, topic: str = "/joint_states", offset: float = 0.0, drift: float = 0.0,
     wait: float = 0.004, order: Sequence[int] | None = None,

@@ -1,4 +1,4 @@
-"""ROS 1 bags (.bag), ROS 2 bags (a folder with metadata.yaml, or a lone .db3) and MCAP, also of JSON; without ROS."""
+"""ROS 1 bags (.bag), ROS 2 bags (a folder with metadata.yaml, or a lone .db3), MCAP of any; without ROS."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def _as_written(path: Path, bag: Any) -> Iterator[Any]:
 
 MCAP = Reader(
     "mcap",
-    "a .mcap file with ROS 1, ROS 2 or JSON messages, or the folder of a bag of them",
+    "a .mcap file with ROS 1, ROS 2, Protobuf or JSON messages, or the folder of a bag of them",
     lambda path: bool(mcap_files(path)),
     read,
 )

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from realsim.core.errors import GapError
-from realsim.core.text_table import begin, first_lines, read_text_table
-from realsim.gap.recordings.recording import Reader, Recording, Window, no_samples, refuse_more
-from realsim.gap.recordings.tables import table
+from realsim.core.text_table import TextTable, begin, first_lines, read_text_table
+from realsim.gap.recordings.recording import Reader, Recording, Stream, Window, no_samples, refuse_more
+from realsim.gap.recordings.tables import a_column_a_joint, labelled, table
 from realsim.gap.recordings.vocabulary import split_unit
 
 SUFFIXES = (".csv", ".tsv", ".txt", ".log", ".dat")
@@ -35,7 +35,43 @@ def read(path: Path, window: Window) -> list[Recording]:
     notes = [*found.notes, *([f"columns of text left out: {', '.join(dropped[:8])}"] if dropped else [])]
     odd = {n: cell for n, (cell, _) in found.odd.items() if n in columns}
     notes += [f"{path.name}: {n} has values that are no numbers, the first is {c!r}" for n, c in odd.items()]
-    return [Recording(path, path.stem, "csv", (table(path, "", columns, window=window),), notes=tuple(notes))]
+    stream = None if found.header else _echoed(path, found, window)
+    if stream is None:
+        fields = a_column_a_joint(columns, found.words, notes)
+        stream = labelled(path, *fields, window) if fields else table(path, "", columns, window=window)
+    return [Recording(path, path.stem, "csv", (stream,), notes=tuple(notes))]
+
+
+def _echoed(path: Path, found: TextTable, window: Window) -> Stream | None:
+    """What `ros2 topic echo --csv` prints of sensor_msgs/JointState: stamp, frame, names, and as many positions,
+    velocities and efforts; None for another table without a header.
+
+    Raises:
+        GapError: another message with names in it, of which nothing tells what its numbers are.
+    """
+    columns, (stamp, *rest) = found.columns, list(found.parts)
+    nanoseconds = columns.get(rest[0]) if rest else None
+    if nanoseconds is None or any(len(set(words)) > 1 for words in found.words.values()):
+        return None
+    names = [n for n in rest[2:] if n in found.words]
+    numbers = rest[2 + len(names) :]
+    whole = all(columns.get(n, np.zeros(0)).ndim == 1 and (columns[n] % 1 == 0).all() for n in (stamp, rest[0]))
+    if not names or not whole or nanoseconds.min() < 0 or nanoseconds.max() >= 1e9:
+        return None
+    kinds = len(numbers) / len(names)
+    if kinds not in (1, 2, 3) or any(n not in columns for n in numbers):
+        raise GapError(
+            "a ROS message without a header, as `ros2 topic echo --csv` prints it", file=path,
+            expected="sensor_msgs/JointState: stamp, frame, names, and as many positions, velocities and efforts",
+            found=f"{len(names)} names and {len(numbers)} numbers",
+            hint="record with `ros2 bag record TOPIC`, or write the columns' names into a first line",
+        )  # fmt: skip
+    parts = {
+        kind: np.stack([columns[n] for n in numbers[k * len(names) : (k + 1) * len(names)]], axis=1)
+        for k, kind in enumerate(("position", "velocity", "effort")[: int(kinds)])
+    }
+    clock = {"stamp [s]": columns[stamp] + 1e-9 * nanoseconds}
+    return labelled(path, clock, parts, [found.words[n][0] for n in names], window, "sensor_msgs/msg/JointState")
 
 
 READER = Reader("csv", "a .csv, .tsv, .txt, .dat or .log table", recognise, read)
