@@ -36,7 +36,7 @@ def command(e: Evidence) -> None:
     if "joint_pos" not in e.proposal.assignments:
         return
     wanted = e.target.command_kind if e.target is not None else ""
-    found = [c for c in (*e.candidates_for("command"), *e.candidates_for("command.")) if _moves(e, c)]
+    found = [c for c in (*e.candidates_for("command"), *e.candidates_for("command.")) if moves(e, c)]
     source = _best(e, found, wanted)
     if source is None and wanted == "torque" and "command" not in e.chosen:
         _measured_torque(e)
@@ -102,7 +102,7 @@ def _leader(e: Evidence) -> Candidate | None:
 
 def _of_a_body(e: Evidence, target: Target) -> None:
     """Commands of a body without joints, a drone's: a column for each actuator, by name, else in their order."""
-    found = [c for c in (*e.candidates_for("command"), *e.candidates_for("command.")) if _moves(e, c)]
+    found = [c for c in (*e.candidates_for("command"), *e.candidates_for("command.")) if moves(e, c)]
     fitting = [(c, _actuators(e.of(c)[1], target)) for c in found]
     ranked = [(c, columns, how) for c, (columns, how) in fitting if columns]
     if not ranked:
@@ -155,7 +155,7 @@ def _best(e: Evidence, found: Sequence[Candidate], wanted: str) -> Candidate | N
     return named[0] if named else None
 
 
-def _moves(e: Evidence, source: Candidate) -> bool:
+def moves(e: Evidence, source: Candidate) -> bool:
     """Whether it changes at all: fields of zeros belong to the other kinds of command."""
     values = e.of(source)[1].values
     return bool(np.isfinite(values).any() and np.nanmax(np.nanstd(values, axis=0)) > 1e-9)

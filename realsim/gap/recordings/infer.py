@@ -102,7 +102,7 @@ def propose(
         )  # fmt: skip
     proposal.world = world
     _followed(proposal, target)
-    _missing(proposal, target, candidates)
+    _missing(evidence)
     used = {a.source.label for a in proposal.assignments.values()}
     proposal.unused = sorted({_label(s, n) for s in main.streams if not is_frames(s) for n in s.fields} - used)
     return proposal
@@ -162,18 +162,20 @@ def _said_about_clocks(proposal: Proposal, times: Mapping[str, Clocked], frames:
             proposal.warnings.append(f"{name or 'table'}: {len(gaps)} gaps in time, the longest of {step.max():.3g} s")
 
 
-def _missing(proposal: Proposal, target: Target | None, candidates: Sequence[Candidate]) -> None:
-    have, missing = proposal.assignments, proposal.missing
+def _missing(e: Evidence) -> None:
+    proposal, target, have, missing = e.proposal, e.target, e.proposal.assignments, e.proposal.missing
     example = _example(proposal)
     if proposal.place not in have and proposal.jointless:
         missing.append("base_pos (needed): no field of the body's position; name it: --use base_pos=STREAM:FIELD")
     elif proposal.place not in have:
         what = "no field of joint positions is known by its name"
         missing.append(f"joint_pos (needed): {what}; name it: --use joint_pos={example}")
-    still = [c.label for c in candidates if c.role.startswith("command")]
-    if "command" not in have and still:
-        what = f"{', '.join(still[:3])} never changes, which tells nothing of the joints: record motion"
-        missing.append(f"command (needed): {what}")
+    asked = [c for c in e.candidates if c.role.startswith("command")]
+    labels, still = ", ".join(c.label for c in asked[:3]), not any(commands.moves(e, c) for c in asked)
+    if "command" not in have and asked:
+        what = "never changes, which tells nothing of the joints: record motion"
+        what = what if still else f"is no command of these joints by its columns; name them: --use command={example}"
+        missing.append(f"command (needed): {labels} {what}")
     elif "command" not in have:
         what = f"no field of commands is known by its name; name it: --use command={example}"
         missing.append(f"command (needed): {what}; or record the command topic too")

@@ -14,11 +14,12 @@ from realsim.core.progress import track
 from realsim.gap.recordings.jumps import unbroken
 from realsim.gap.recordings.names import seconds_of
 from realsim.gap.recordings.readers import READERS
-from realsim.gap.recordings.recording import Reader, Recording, Stream, Window, no_samples
-from realsim.gap.recordings.vocabulary import KINDS, SIDES, english, plain
+from realsim.gap.recordings.recording import Field, Reader, Recording, Stream, Window, no_samples
+from realsim.gap.recordings.vocabulary import KINDS, SIDES, SIGNALS, english, plain
 
 MAX_RUNS = 400
 MAX_BYTES = 64 * 2**30
+AS_A_TABLE = "save it as .csv or .parquet with a column of time and one for each signal (docs/logs.md)"
 
 
 def read(path: Path, window: Window | None = None) -> list[Recording]:
@@ -56,7 +57,7 @@ def unknown(path: Path) -> GapError:
         file=path,
         expected="; ".join(READERS[name].looks_for for name in READERS),
         found=path.suffix or "no file ending",
-        hint="save it as .csv or .parquet with a column of time and one for each signal (docs/logs.md)",
+        hint=AS_A_TABLE,
     )
 
 
@@ -114,6 +115,7 @@ def _folder(folder: Path, window: Window) -> list[Recording]:
             file=folder,
             expected="; ".join(READERS[name].looks_for for name in READERS),
             found=", ".join(p.name for p in files[:8]) or "an empty folder",
+            hint=AS_A_TABLE if files else None,
         )
     if len(known) > MAX_RUNS:
         raise GapError("too many recordings", file=folder, expected=f"at most {MAX_RUNS}", found=str(len(known)))
@@ -163,7 +165,7 @@ def joined(recordings: Sequence[Recording]) -> list[Recording]:
         if not (apart and all(len(p.streams) == 1 for p in parts) and _one_clock(parts)):
             result += parts
             continue
-        streams = tuple(replace(p.streams[0], name=_half(p)) for p in parts)
+        streams = tuple(_of_joints(replace(p.streams[0], name=_half(p))) for p in parts)
         files = ", ".join(p.name for p in parts)
         notes = (*(n for p in parts for n in p.notes), f"{files} are taken as one run")
         result.append(replace(parts[0], name=name or parts[0].name, streams=streams, notes=notes))
@@ -178,6 +180,15 @@ def _bare(name: str) -> str:
 def _half(recording: Recording) -> str:
     """Name of a table among those of its run: the words of signals in its file's name, the same in all runs."""
     return "_".join(w for w in english(recording.name) if w in (*SIDES, *KINDS)) or recording.name
+
+
+def _of_joints(stream: Stream) -> Stream:
+    """A table of whose columns none says what it holds, so that its file's name does: they are joints of one field."""
+    alone = stream.fields.items()
+    if len(alone) < 2 or any(f.width > 1 or f.unit or set(english(n)) & set(SIGNALS) for n, f in alone):
+        return stream
+    values, names = np.concatenate([f.values for _, f in alone], axis=1), tuple(n for n, _ in alone)
+    return replace(stream, fields={stream.name: Field(values, names, "", names)})
 
 
 def _layout(recording: Recording) -> tuple[str, ...]:

@@ -115,9 +115,8 @@ def a_column_a_joint(
         for name, values in columns.items():
             if name not in (clock, place) and values.ndim == 1:
                 put = _where_stamped if together else held if is_sent(name) else at
-                parts[name] = np.concatenate(
-                    [put(times[each[k]], values[each[k], None], stamps) for k in order], axis=1
-                )
+                made = np.concatenate([put(times[each[k]], values[each[k], None], stamps) for k in order], axis=1)
+                parts[name] = np.round(made) if (values % 1 == 0).all() else made  # encoder steps stay whole
         if len(parts) == 1 and set(english(next(iter(parts)))) <= {
             "observation"
         }:  # variable and value: labels are signals

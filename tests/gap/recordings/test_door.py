@@ -285,7 +285,7 @@ def test_what_ros_prints_without_a_header(arm: Log, tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", ["in turn", "one by one", "numbered", "a moment each", "variable and value"])
 def test_a_row_a_joint(kind: str, arm: Log, tmp_path: Path) -> None:
     labels = ("1", "2") if kind == "numbered" else JOINTS
-    late = 0.004 if kind == "a moment each" else 0.0
+    late = 0.002 if kind == "a moment each" else 0.0
     rows = [
         (t + k * late, label, arm.pos[i, k], arm.command[i, k])
         for i, t in enumerate(arm.time) for k, label in enumerate(labels)
@@ -322,3 +322,12 @@ def test_a_clock_that_is_not_there(arm: Log, tmp_path: Path) -> None:
     path = write(tmp_path / "a.csv", "uptime_ms,q1,q2", 1e3 * arm.time, arm.pos)
     with pytest.raises(GapError, match="did you mean uptime_ms"):
         propose(read(path), use=["time=uptime"])
+
+
+def test_files_that_name_joints_alone(arm: Log, tmp_path: Path) -> None:
+    """What the columns hold stands in the files' names."""
+    folder, head = tmp_path / "run", ",".join(("time [s]", *JOINTS))
+    folder.mkdir()
+    for name, values in (("joint_states", arm.pos), ("joint_commands", arm.command)):
+        write(folder / f"{name}.csv", head, arm.time, values)
+    check(folder, tmp_path, arm)

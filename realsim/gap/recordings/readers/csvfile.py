@@ -32,13 +32,15 @@ def read(path: Path, window: Window) -> list[Recording]:
         raise GapError("no column holds numbers", file=path, found=f"text in {', '.join(dropped[:8])}")
     if not columns:
         raise no_samples(path, "a header and one row per sample")
-    notes = [*found.notes, *([f"columns of text left out: {', '.join(dropped[:8])}"] if dropped else [])]
+    notes = list(found.notes)
+    stream = None if found.header else _echoed(path, found, window)
+    if stream is None and (fields := a_column_a_joint(columns, found.words, notes)):
+        stream = labelled(path, *fields, window)
+    elif stream is None:
+        notes += [f"columns of text left out: {', '.join(dropped[:8])}"] if dropped else []
+        stream = table(path, "", columns, window=window)
     odd = {n: cell for n, (cell, _) in found.odd.items() if n in columns}
     notes += [f"{path.name}: {n} has values that are no numbers, the first is {c!r}" for n, c in odd.items()]
-    stream = None if found.header else _echoed(path, found, window)
-    if stream is None:
-        fields = a_column_a_joint(columns, found.words, notes)
-        stream = labelled(path, *fields, window) if fields else table(path, "", columns, window=window)
     return [Recording(path, path.stem, "csv", (stream,), notes=tuple(notes))]
 
 
