@@ -18,6 +18,7 @@ from realsim.gap import EFFECTS, DiagnoseConfig, diagnose, explain, load_case
 from realsim.gap.effects import Effects
 from realsim.gap.simulation.simulate import Simulator
 
+from .test_passive import GRIPPER, TIME, case_of
 from .test_recovery import UNSEEN
 from .truth import ARM, Truth, make_case
 
@@ -76,11 +77,18 @@ def flying(hovering):
         yield found
 
 
+@pytest.fixture(scope="module")
+def gripping(tmp_path_factory: pytest.TempPathFactory):
+    opens = [0.02 + 0.012 * np.sin(2 * np.pi * f * TIME) for f in (0.4, 0.9)]
+    with Simulator(case_of(tmp_path_factory.mktemp("gripper"), GRIPPER, "position", opens), DiagnoseConfig()) as found:
+        yield found
+
+
 @pytest.fixture
-def somewhere(name: str, simulator: Simulator, walking: Simulator, flying: Simulator):
+def somewhere(name: str, simulator: Simulator, walking: Simulator, flying: Simulator, gripping: Simulator):
     """A robot on which the effect has places, and these; effects of the ground and the IMU need one that walks."""
     place = EFFECTS[name].places
-    robots = (simulator, walking, flying)
+    robots = (simulator, walking, flying, gripping)
     found = next(((s, place(s.context)) for s in robots if place(s.context)), (simulator, []))
     assert bool(found[1]) != (name in UNSEEN)
     return found

@@ -19,13 +19,18 @@ TIME = np.arange(0.0, 4.0, 0.01)
 EFFECTS = ("viscous_friction", "coulomb_friction", "payload")
 
 
-def case_of(folder: Path, xml: str, kind: str, commands: Sequence[np.ndarray], pin: float = 0.0) -> Case:
-    """What MuJoCo does under these commands, (T,) each, with so much more damping at the last joint."""
+def case_of(
+    folder: Path, xml: str, kind: str, commands: Sequence[np.ndarray], pin: float = 0.0, gain: float = 1.0
+) -> Case:
+    """What MuJoCo does under these commands, (T,) each, with so much more damping at the last joint and its drives'
+    gains times so much."""
     model = mujoco.MjModel.from_xml_string(xml)
     names = [
         [get(i).name for i in range(count)] for get, count in ((model.joint, model.njnt), (model.actuator, model.nu))
     ]
     model.dof_damping[-1] += pin
+    model.actuator_gainprm *= gain
+    model.actuator_biasprm *= gain
     (folder / "runs").mkdir(parents=True)
     (folder / "model.xml").write_text(xml)
     log = {"joint_names": names[0], "actuator_names": names[1], "command_kind": kind, "base": "fixed"}
@@ -67,3 +72,12 @@ def test_a_tendon_loads_the_joints_that_it_moves(tmp_path: Path) -> None:
         context = simulator.context
     assert context.passive == ["left_slide", "right_slide"]
     assert all(0.3 < context.peak_torque[j] < 16 for j in context.passive)  # N; the drive gives 30 on both
+
+
+def test_the_gain_of_a_drive_that_pulls_a_tendon(tmp_path: Path) -> None:
+    grips = [0.02 + 0.012 * np.sign(np.sin(2 * np.pi * f * TIME)) * np.clip(TIME - 0.3, 0, 1) for f in (0.5, 0.8, 1.2)]
+    case = case_of(tmp_path, GRIPPER, "position", grips, gain=0.6)
+    effects = ("tendon_gain", "actuator_lag", "viscous_friction", "coulomb_friction")
+    (cause,) = diagnose(case, DiagnoseConfig(threads=1, effects=effects, report=False)).causes
+    assert (cause["effect"], cause["actuators"]) == ("tendon_gain", ["grip"])
+    assert cause["parameters"]["ratio"]["value"] == pytest.approx(0.6, rel=0.05)

@@ -33,7 +33,9 @@ def arm(made) -> Case:
     return case
 
 
-@pytest.mark.parametrize("name", [n for n in EFFECTS if n not in (*UNSEEN, *GROUND, "imu_bias", "thrust_gain")])
+@pytest.mark.parametrize(
+    "name", [n for n in EFFECTS if n not in (*UNSEEN, *GROUND, "imu_bias", "thrust_gain", "tendon_gain")]
+)
 def test_recovered_on_an_arm(name: str, arm: Case) -> None:
     recover(name, arm)
 

@@ -21,7 +21,7 @@ from .searching import CONFIG, fitting, logged
 from .test_recovery import GROUND, SIZE, UNSEEN
 from .truth import PENDULUM, Truth
 
-FLOATING = (*(n for n in GROUND if n != "terrain_tilt"), "imu_bias", "thrust_gain")
+FLOATING = (*(n for n in GROUND if n != "terrain_tilt"), "imu_bias", "thrust_gain", "tendon_gain")
 """Effects that need a ground, an IMU or rotors."""
 FIXED = tuple(n for n in EFFECTS if n not in (*FLOATING, *UNSEEN, *ON_REQUEST))
 

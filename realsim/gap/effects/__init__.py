@@ -115,6 +115,7 @@ EFFECTS = Effects(
             "friction_of_joints",
             "position_torque",
             "thrust_gain",
+            "tendon_gain",
         )
     },
     group="realsim.effects",
