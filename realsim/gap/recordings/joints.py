@@ -32,6 +32,10 @@ FEET_LEVEL = 0.02
 """m by which the feet of a standing robot may differ in height."""
 CONVENTION = 0.05
 """Agreement by which another order must do better than the numbers in the columns' names."""
+SLOPE = 0.95
+"""Correlation with the positions' slope from which whole numbers are velocities in steps, of the size that it gives."""
+NO_UNIT = 3.0
+"""Ratio to the positions' slope from which what is in no unit is no velocity that could be used."""
 DYNAMICS = 600
 """Samples on which inverse dynamics is evaluated."""
 
@@ -317,15 +321,25 @@ def _velocity(e: Evidence, source: Candidate, columns: list[int], names: list[st
     unit = nearest_unit(ratio, TURNING)
     odd = [n for n, c in zip(names, corrs, strict=True) if abs(c) < 0.6] if len(corrs) == len(names) else []
     close = abs(ratio * TURNING[unit] - 1) < NEAR and not odd
+    values = field.values[:, columns]
+    steps = not close and corr > SLOPE and bool((values[np.isfinite(values)] % 1 == 0).all())
+    far = max(ratio * TURNING[usual], 1 / max(ratio * TURNING[usual], 1e-9)) > NO_UNIT
+    if far and not (close or steps or "joint_vel" in e.chosen):
+        e.warn(
+            f"{source.label} is {ratio:.3g} times the positions' slope, no unit: it is left out; give its unit in the "
+            f"columns' names, or keep it: --use joint_vel={source.label}"
+        )
+        return False
     text = f"its integral against the positions: correlation {corr:.3f}, factor {ratio:.4g}"
-    text += f" -> {unit}" if close else f", left in {usual}"
+    text += f" -> {unit}" if close else f" -> steps of {1 / ratio:.3g} rad/s" if steps else f", left in {usual}"
     negated = all(f < 0 for f in factors)
     text += ", and negated" if negated else ""
     if odd:
         text += f"; that of {', '.join(odd)} has nothing to do with its position: --use joint_vel=none leaves it out"
-    unit = unit if close else usual
-    scale = TURNING[unit] * (-1.0 if negated else 1.0)
-    e.settle("joint_vel", source, columns, names, [*evidence, text], scale=scale, unit=unit, doubtful=not close)
+    unit = unit if close else "steps" if steps else usual
+    scale = (1 / ratio if steps else TURNING[unit]) * (-1.0 if negated else 1.0)
+    doubtful = not (close or steps)
+    e.settle("joint_vel", source, columns, names, [*evidence, text], scale=scale, unit=unit, doubtful=doubtful)
     return True
 
 
@@ -357,12 +371,12 @@ def torque(e: Evidence) -> None:
         logged = field.values[rows][:, columns]
         corrs = np.array([alike(logged[:, k], tau[:, k]) for k in range(len(names))])
         ratio = float(np.nanmedian([factor(logged[:, k], tau[:, k]) for k in range(len(names))]))
-        scale, unit, text, doubtful = _torque_unit(ratio, corrs, source.unit)
+        scale, unit, text, doubtful = _torque_unit(ratio, corrs, source.unit, current)
     e.settle("joint_torque", source, columns, names, [*evidence, text], scale=scale, unit=unit, doubtful=doubtful)
     e.proposal.torque_kind = "current_times_constant" if current else "measured"
 
 
-def _torque_unit(ratio: float, corrs: F64, declared: str) -> tuple[float, str, str, bool]:
+def _torque_unit(ratio: float, corrs: F64, declared: str, current: bool) -> tuple[float, str, str, bool]:
     """(factor to N m with sign, unit, why, whether in doubt) from logged = ratio x inverse dynamics."""
     corr = float(np.median(np.abs(corrs)))
     said = f"against the model's inverse dynamics: correlation {corr:.2f}, factor {ratio:.3g}"
@@ -370,6 +384,8 @@ def _torque_unit(ratio: float, corrs: F64, declared: str) -> tuple[float, str, s
         unit = declared or "N m"
         return TORQUE.get(unit, 1.0), unit, f"{said}: tells nothing; {unit} is assumed", True
     sign = -1.0 if np.median(corrs) < -0.5 else 1.0
+    if current:  # whose gain the diagnosis leaves open
+        return sign / abs(ratio), declared or "steps", f"{said}: one is taken as {sign / abs(ratio):.3g} N m", True
     unit = nearest_unit(ratio, TORQUE)
     if declared in TORQUE and 0.3 < abs(ratio) * TORQUE[declared] < 3:
         unit = declared

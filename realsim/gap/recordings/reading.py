@@ -179,7 +179,8 @@ def _bare(name: str) -> str:
 
 def _half(recording: Recording) -> str:
     """Name of a table among those of its run: the words of signals in its file's name, the same in all runs."""
-    return "_".join(w for w in english(recording.name) if w in (*SIDES, *KINDS)) or recording.name
+    words = [w for w in english(recording.name) if not w.isdigit()]
+    return "_".join([w for w in words if w in (*SIDES, *KINDS)] or words) or recording.name
 
 
 def _of_joints(stream: Stream) -> Stream:

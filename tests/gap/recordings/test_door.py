@@ -269,10 +269,13 @@ def test_what_ros_prints_without_a_header(arm: Log, tmp_path: Path) -> None:
     lines = [f"{s:.0f},{ns:.0f},,{names}," + ",".join(f"{x:.9g}" for x in (*q, *v)) for s, ns, q, v in rows]
     folder = tmp_path / "run"
     folder.mkdir()
-    state = folder / "a_state.csv"
+    state = folder / "a.csv"
     state.write_text("\n".join(lines))
     write(folder / "a_cmd.csv", "time [s],shoulder_cmd,elbow_cmd", arm.time, arm.command)
+    for name in ("b", "b_cmd"):  # another run of the same
+        (folder / f"{name}.csv").write_text((folder / f"a{name[1:]}.csv").read_text())
     check(folder, tmp_path, arm)
+    assert len({tuple(s.name for s in r.streams) for r in read(folder)}) == 1
     (recording,) = read(state)
     fields = recording.streams[0].fields
     assert list(fields) == ["position", "velocity"]
@@ -331,3 +334,20 @@ def test_files_that_name_joints_alone(arm: Log, tmp_path: Path) -> None:
     for name, values in (("joint_states", arm.pos), ("joint_commands", arm.command)):
         write(folder / f"{name}.csv", head, arm.time, values)
     check(folder, tmp_path, arm)
+
+
+def test_what_is_in_no_known_unit(arm: Log, tmp_path: Path) -> None:
+    """Steps of a velocity are of the positions' slope; what is none is left out; currents are the model's torques."""
+    target, head = load_target(save(tmp_path, ARM)), "t,q1,q2,q1_cmd,q2_cmd,"
+    for factor, whole, kept in ((41.7, True, True), (6.3, False, False)):
+        speed = np.round(factor * arm.vel) if whole else factor * arm.vel
+        path = write(tmp_path / "a.csv", head + "qd1,qd2", arm.time, arm.pos, arm.command, speed)
+        found = propose(read(path), target)
+        assert ("joint_vel" in found.assignments) is kept
+        assert ("no unit" in " ".join(found.warnings)) is not kept
+        if kept:
+            assert found.assignments["joint_vel"].scale == pytest.approx([1 / factor] * 2, rel=0.02)
+    path = write(tmp_path / "a.csv", head + "current1,current2", arm.time, arm.pos, arm.command, arm.torque / 8)
+    found = propose(read(path), target)
+    assert found.assignments["joint_torque"].scale == pytest.approx([8, 8], rel=0.3)
+    assert (found.torque_kind, found.assignments["joint_torque"].doubtful) == ("current_times_constant", True)
