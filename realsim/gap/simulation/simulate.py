@@ -68,6 +68,10 @@ class Simulator:
         self.channels = channels(case)
         self.velocity_lag = velocity_lag(case)
         """s of the filter that the log's velocities come through."""
+        self._turned = {
+            r.name: (first_rows(q), logged_turn(r)) for r in case.runs if (q := r.signals.get("base_quat")) is not None
+        }
+        """Run -> the base's first orientation, and how it turned from there."""
         self.simulated_seconds = 0.0
         self.cores = Cores(config.threads)
         self._counting = threading.Lock()
@@ -318,10 +322,10 @@ class Simulator:
             columns["joint_torque"] += s.torque_phase * self._command_steps(run)
         if "base_pos" in raw:
             columns["base_pos"] = sample(raw["base_pos"], now) + np.array(s.base_bias)
-            if "base_quat" in run.signals:
-                reference = first_rows(run.signals["base_quat"])
+            if run.name in self._turned:
+                reference, turned = self._turned[run.name]
                 turn = rotation_from(sample(raw["base_quat"], now), reference)
-                columns["base_rot"] = nearest_turn(turn, logged_turn(run)) + np.array(s.base_turn)
+                columns["base_rot"] = nearest_turn(turn, turned) + np.array(s.base_turn)
         if "gyro" in raw:
             then = now - s.imu_delay / dt
             columns["imu_gyro"] = sample(raw["gyro"], then) + np.array(s.gyro_bias)

@@ -78,17 +78,19 @@ class Fitter(GaussNewton):
 
     def beside_own(self, fit: Fit) -> Fit:
         """The same causes beside the everyday deviations that are most probable beside them, by simulation: slopes lead
-        there in a few steps, each halved where the simulation itself does not come nearer."""
+        there in a few steps, each halved where the simulation itself does not come nearer; none is tried that slopes
+        themselves give too little for."""
         whole = [atom.parameter.whole for atom in self.screen.atoms]
         with self.beside_those_of(fit):
             nearer: Fit | None = fit
             while nearer is not None:
                 fit, nearer = nearer, None
                 x = self.screen.possible(fit.evidence.centre + deviations(self.screen, fit))
-                for share in figures.PARTS:
+                least = self._cost(fit) - 2 * figures.CLEARLY
+                for share in figures.PARTS if self._cost(fit, x - fit.about) < least else ():
                     self.about = np.where(whole, fit.about, fit.about + share * (x - fit.about))
                     moved = self.looked_at(fit, fit.causes)
-                    if moved is not None and self._cost(moved) < self._cost(fit) - 2 * figures.CLEARLY:
+                    if moved is not None and self._cost(moved) < least:
                         nearer = moved
                         break
         return fit
@@ -137,11 +139,11 @@ class Fitter(GaussNewton):
             there = fit if best[1] is last else self.looked_at(fit, (*others, best[1]))
         return there if there is not None and there.misfit < fit.misfit else fit
 
-    def _cost(self, fit: Fit) -> float:
-        """Weighted squared residual of the simulation itself."""
-        comparison = self.screen.comparison
-        rows = zip(self.screen.runs, fit.predictions, strict=True)
-        return float(sum(np.nansum(comparison.weights[run] * comparison.residual(run, y) ** 2) for run, y in rows))
+    def _cost(self, fit: Fit, x: F64 | float = 0.0) -> float:
+        """Weighted squared residual of the simulation itself; with small deviations (p,) added by their slopes."""
+        rests = (self.screen.residual(k, y, x) for k, y in enumerate(fit.predictions))
+        weights = (self.screen.comparison.weights[run] for run in self.screen.runs)
+        return float(sum(np.nansum(w * r**2) for w, r in zip(weights, rests, strict=True)))
 
     def reweighted(self, fit: Fit) -> Fit:
         """Weigh errors against what this fit leaves, and measure it anew."""
