@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.store import Store
+from tests.truths.solids import grid_mesh
 
 RESULTS = Path(__file__).parents[1] / "results" / "clean_meshes.json"
 SUFFIXES = (".stl", ".obj", ".ply")
@@ -115,16 +116,6 @@ def stones(seed: int) -> list[Any]:
 def pits() -> Any:
     slab = box(0, 0, -0.4, 3, 2, 0.4)
     return slab - box(-0.7, 0.2, -0.3, 0.5, 0.6, 0.4) - box(0.6, -0.3, -0.2, 0.6, 0.5, 0.4)
-
-
-def grid_mesh(height: Callable[[F64, F64], F64], size: float, cells: int) -> tuple[F64, F64]:
-    """An open sheet over a square."""
-    t = np.linspace(-size / 2, size / 2, cells + 1)
-    x, y = np.meshgrid(t, t)
-    n = cells + 1
-    a = (np.arange(cells)[:, None] * n + np.arange(cells)).ravel()
-    faces = np.concatenate([np.stack([a, a + 1, a + n], 1), np.stack([a + 1, a + n + 1, a + n], 1)])
-    return np.column_stack([x.ravel(), y.ravel(), height(x, y).ravel()]), faces
 
 
 def arch(width: float) -> Any:

@@ -3,8 +3,8 @@
     python -m benchmarks.contact.sides [--names corridor room] [--real] [--large]
 
 The synthetic rooms of `tests/truths/rooms.py`; with --real, the captures in REALSIM_SHARED/real_captures too; with
---large, `auto` on the rooms of benchmarks/contact/rooms.py, each in a process of its own, with what it took. Rows go to
-benchmarks/results/sides.json. Rays and heights are those of `realsim/export/contact/fidelity.py`.
+--large, `auto` on the rooms of tests/truths/scanned_rooms.py, each in a process of its own, with what it took. Rows go
+to benchmarks/results/sides.json. Rays and heights are those of `realsim/export/contact/fidelity.py`.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from benchmarks.contact.rooms import LARGE
 from benchmarks.store import Store
 from realsim.core.types import TerrainMesh
 from realsim.export.any_mesh import contact_verdict
 from realsim.export.config import SceneConfig
 from realsim.export.contact.choose import fit_contact
 from tests.truths.rooms import ROOMS
+from tests.truths.scanned_rooms import LARGE
 
 ROOT = Path(__file__).resolve().parents[2]
 SHARED = Path(os.environ.get("REALSIM_SHARED", ROOT.parent / "shared"))

@@ -12,7 +12,6 @@ import pytest
 import trimesh
 
 import realsim as rs
-from benchmarks.contact.rooms import closet
 from realsim.core.types import TerrainMesh
 from realsim.export.any_mesh import contact_verdict
 from realsim.export.contact.boxes import boxes
@@ -25,6 +24,7 @@ from realsim.export.contact.sheets import sheets
 from realsim.export.mend import mend
 from tests.export.measured import CONFIG, FACING_UP
 from tests.truths.rooms import ROOMS
+from tests.truths.scanned_rooms import closet
 from tests.truths.solids import terrain
 
 made = cache(lambda make, name: spec_of(make(Shape(ROOMS[name](), 0.0), CONFIG)))

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from manifold3d import Manifold, OpType
 
-from benchmarks.contact.clean_meshes import grid_mesh
 from realsim.core.types import MeshQuality, TerrainMesh
 from realsim.export.config import SceneConfig
 from realsim.export.contact.base import ContactModel, Geom, floor_plane
@@ -19,7 +18,7 @@ from realsim.export.contact.probe import spec_of
 from realsim.export.contact.seams import open_seams, overlap, parts_of
 from realsim.export.contact.shape import Shape
 from realsim.export.lint import lint_mjcf
-from tests.truths.solids import block, terrain, with_floor
+from tests.truths.solids import block, grid_mesh, terrain, with_floor
 
 CONFIG = SceneConfig()
 FLUSH = [(0.0, 0.4, 0.2), (0.4, 0.4, 0.2), (0.8, 0.4, 0.35)]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from realsim.gap import Case, load_case
 from tests.truths.diagnosis.plant import Plant
 from tests.truths.diagnosis.robots import ROBOTS
 from tests.truths.diagnosis.truth import Truth as TrueRobot
+from tests.truths.written import write_case
 
 from .searching import flights, logged
 from .truth import ARM, Truth, make_case
@@ -34,20 +34,6 @@ def quadruped(tmp_path_factory: pytest.TempPathFactory) -> Case:
     """A floating base on four blocks: the log is made by its own simulator."""
     folder = tmp_path_factory.mktemp("quadruped")
     robot = ROBOTS["quadruped"](np.random.default_rng(2))
-    (folder / "runs").mkdir()
-    (folder / "model.xml").write_text(robot.xml)
-    log = {
-        "joint_names": robot.joints,
-        "actuator_names": robot.actuators,
-        "command_kind": "position",
-        "command_hold": "zoh",
-        "base": "floating",
-        "torque_kind": "none",
-        "imu_site": robot.imu_site,
-        "contact_bodies": [],
-        "notes": "",
-    }
-    (folder / "log.json").write_text(json.dumps(log))
     time = np.arange(0, 2.0, 0.01)
     sway = 0.15 * np.sin(2 * np.pi * np.outer(time, [0.9])) * np.tile([1.0, 0.8, 0.3], 4)
     command = robot.home + np.clip(time / 0.3, 0, 1)[:, None] * sway
@@ -55,8 +41,8 @@ def quadruped(tmp_path_factory: pytest.TempPathFactory) -> Case:
     rest = {"init_qpos": trace.qpos0, "init_qvel": np.zeros(len(trace.qpos0) - 1)}
     rest |= {"base_pos": np.tile(trace.qpos0[:3], (len(time), 1))}
     imu = {"imu_gyro": np.zeros((len(time), 3)), "imu_acc": np.zeros((len(time), 3))}
-    np.savez(folder / "runs" / "one.npz", time=time, command=command, joint_pos=command, **rest, **imu)
-    return load_case(folder)
+    run = {"time": time, "command": command, "joint_pos": command, **rest, **imu}
+    return load_case(write_case(folder, robot.xml, {"one": run}, command_hold="zoh", imu_site=robot.imu_site))
 
 
 @pytest.fixture(scope="session")

@@ -10,7 +10,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from benchmarks.diagnosis.hardware.logs import SERVO
+from tests.truths.small_robots import SERVO
+from tests.truths.written import write_case
 
 # T-Motor AK80-6 with a half-metre rod and a bob; figures of the test bench's own description.
 PENDULUM = """
@@ -24,22 +25,20 @@ PENDULUM = """
 
 def pendulum(logs: Path, folder: Path, names: list[str]) -> Path:
     """Runs driven by the measured torque."""
-    case = _folder(folder, PENDULUM, ["swing"], ["swing_motor"], command_kind="torque", torque_kind="measured")
+    runs = {}
     for name in names:
         with np.load(logs / "dfki_simple_pendulum" / f"{name}.npz") as file:
             data = file["data"][:2400]
         time, position, velocity, torque = data.T
         new = np.concatenate([[True], np.diff(time) > 0])
-        np.savez(
-            case / "runs" / f"{name}.npz", time=time[new], command=torque[new, None], joint_pos=position[new, None],
-            joint_vel=velocity[new, None], joint_torque=torque[new, None],
-        )  # fmt: skip
-    return case
+        columns = {"command": torque, "joint_pos": position, "joint_vel": velocity, "joint_torque": torque}
+        runs[name] = {"time": time[new]} | {k: v[new, None] for k, v in columns.items()}
+    return write_case(folder, PENDULUM, runs, command_kind="torque", torque_kind="measured")
 
 
 def servo(logs: Path, folder: Path) -> Path:
     """CSV with the servo's own column names, and a map."""
-    case = _folder(folder, SERVO, ["servo"], ["servo_loop"])
+    case = write_case(folder, SERVO, {})
     for path in sorted((logs / "bam_sts3250").glob("*.npz")):
         with np.load(path) as file:
             rows = [",".join(file["cols"]), *(",".join(repr(float(v)) for v in row) for row in file["data"])]
@@ -66,18 +65,6 @@ def legs(logs: Path, folder: Path, contacts: bool = False) -> Path:
         servo = spec.add_actuator(name=f"{name}_servo", target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         servo.set_to_position(kp=float(data["kp"]), kv=float(data["kd"]))
     spec.compile()
-    case = _folder(folder, spec.to_xml(), names, [f"{n}_servo" for n in names])
-    half = slice(0, 1200)
-    np.savez(
-        case / "runs" / "sweep.npz", time=data["time"][half].astype(float), command=data["des_dof_pos"][half],
-        joint_pos=data["dof_pos"][half],
-    )  # fmt: skip
-    return case
-
-
-def _folder(folder: Path, xml: str, joints: list[str], actuators: list[str], **said: str) -> Path:
-    (folder / "runs").mkdir(parents=True)
-    (folder / "model.xml").write_text(xml)
-    log = {"command_kind": "position", "base": "fixed", "torque_kind": "none", "imu_site": None, "contact_bodies": []}
-    (folder / "log.json").write_text(json.dumps(log | {"joint_names": joints, "actuator_names": actuators} | said))
-    return folder
+    columns = {"time": data["time"].astype(float), "command": data["des_dof_pos"], "joint_pos": data["dof_pos"]}
+    run = {k: v[:1200] for k, v in columns.items()}
+    return write_case(folder, spec.to_xml(), {"sweep": run}, joint_names=names)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -12,12 +11,13 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from benchmarks.diagnosis.unstable import DRONE, fly
 from realsim.gap import Case, DiagnoseConfig, load_case
 from realsim.gap.inference.causes.fit import Fitter
 from realsim.gap.inference.likelihood.comparison import Comparison
 from realsim.gap.inference.likelihood.screen import Screen
 from realsim.gap.simulation.simulate import Setting, Simulator
+from tests.truths.drone import DRONE, fly
+from tests.truths.written import write_case
 
 CONFIG = DiagnoseConfig(threads=1, settle_seconds=0.3)
 
@@ -60,11 +60,5 @@ def flights(
     spec.body("drone").ipos = [com, 0.0, 0.0]
     for rotor, ratio in zip(spec.actuators, np.broadcast_to(thrust, 4), strict=True):
         rotor.gainprm = rotor.gainprm * ratio
-    (folder / "runs").mkdir(parents=True)
-    rotors = [f"rotor{i}" for i in range(4)]
-    log = {"joint_names": ["tilt"], "actuator_names": rotors, "command_kind": "torque"}
-    (folder / "model.xml").write_text(DRONE)
-    (folder / "log.json").write_text(json.dumps(log | {"base": "floating", "torque_kind": "none", "imu_site": "imu"}))
-    for k in range(runs):
-        np.savez(folder / "runs" / f"flight_{k}.npz", **fly(spec.compile(), rng, seconds=seconds, gusts=gusts))
-    return load_case(folder)
+    flown = {f"flight_{k}": fly(spec.compile(), rng, seconds=seconds, gusts=gusts) for k in range(runs)}
+    return load_case(write_case(folder, DRONE, flown, command_kind="torque", imu_site="imu"))

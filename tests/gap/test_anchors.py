@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -13,13 +12,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.diagnosis.unstable import DRONE
 from realsim.gap import Case, DiagnoseConfig, diagnose, load_case
 from realsim.gap.answer.patch import apply_patch
 from realsim.gap.inference.likelihood.comparison import Comparison
 from realsim.gap.inference.likelihood.free_starts import free_starts
 from realsim.gap.simulation.anchors import LEAST
 from realsim.gap.simulation.simulate import Simulator
+from tests.truths.drone import DRONE
+from tests.truths.written import write_case
 
 from .searching import flights
 from .truth import Truth
@@ -83,10 +83,6 @@ PENDULUM = """<mujoco><option timestep="0.002" integrator="implicitfast"/><world
 
 def test_what_falls_in_one_run_begins_in_the_log_in_all(tmp_path: Path) -> None:
     """Just below upright, held by friction that the model lacks: no command keeps the model there."""
-    (tmp_path / "runs").mkdir()
-    (tmp_path / "model.xml").write_text(PENDULUM)
-    log = {"joint_names": ["swing"], "actuator_names": ["m"], "command_kind": "torque", "base": "fixed"}
-    (tmp_path / "log.json").write_text(json.dumps(log | {"torque_kind": "none", "imu_site": None}))
     time = np.arange(0.0, 2.0, 0.01)
     model = mujoco.MjModel.from_xml_string(PENDULUM)
     data, swing, noise = mujoco.MjData(model), [], np.random.default_rng(0).normal(0, 1e-3, (2, len(time), 1))
@@ -95,9 +91,9 @@ def test_what_falls_in_one_run_begins_in_the_log_in_all(tmp_path: Path) -> None:
         swing.append(data.qpos.copy())
         mujoco.mj_step(model, data, 5)
     still, held = np.zeros((len(time), 1)), np.full((len(time), 1), 3.12)
-    for name, where in (("falls", np.array(swing) + noise[0]), ("held", held + noise[1]), ("hangs", still + noise[1])):
-        np.savez(tmp_path / "runs" / f"{name}.npz", time=time, command=still, joint_pos=where)
-    with Simulator(load_case(tmp_path), CONFIG) as simulator:
+    places = {"falls": np.array(swing) + noise[0], "held": held + noise[1], "hangs": still + noise[1]}
+    runs = {name: {"time": time, "command": still, "joint_pos": at} for name, at in places.items()}
+    with Simulator(load_case(write_case(tmp_path, PENDULUM, runs, command_kind="torque")), CONFIG) as simulator:
         falls, hangs, held_up = simulator.starts
     assert {s.kind for s in (falls, held_up, hangs)} == {"log"}
     assert held_up.anchors  # the model falls there, too

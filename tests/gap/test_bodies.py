@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from pathlib import Path
 
@@ -14,12 +13,12 @@ from realsim.gap import DiagnoseConfig, diagnose, load_case
 from realsim.gap.experiments.plan import Planned, planned_case, rig_of
 from realsim.gap.pipeline import aloft, limited
 from realsim.gap.simulation.simulate import Simulator
+from tests.truths.written import write_case
 
 CRAZYFLIE = Path(os.environ.get("REALSIM_SHARED", "../shared")) / "cases" / "logs" / "cf_W3_M3"
 FLYING = """<mujoco><option timestep="0.005"/><worldbody><body name="drone"><freejoint/>
 <inertial pos="0 0 0" mass="0.03" diaginertia="2e-5 2e-5 3e-5"/><site name="up"/></body></worldbody>
 <actuator><motor name="lift" site="up" gear="0 0 1 0 0 0"/></actuator></mujoco>"""
-LOG = {"joint_names": [], "actuator_names": ["lift"], "command_kind": "torque", "base": "floating"}
 
 
 RIVALS = ("payload", "com_offset", "link_inertia", "command_delay")
@@ -30,11 +29,8 @@ def case_in(folder: Path, xml: str = FLYING, **other: object) -> Path:
     time = np.arange(0, 2, 0.01)
     pose = {"base_pos": np.tile([0, 0, 1.0], (len(time), 1)), "base_quat": np.tile([1.0, 0, 0, 0], (len(time), 1))}
     run = {"time": time, "command": 0.2943 + 0.01 * np.sin(6 * time)[:, None], **pose} | other
-    (folder / "runs").mkdir(parents=True)
-    (folder / "model.xml").write_text(xml)
-    (folder / "log.json").write_text(json.dumps(LOG))
-    np.savez(folder / "runs" / "flight.npz", **{k: v for k, v in run.items() if v is not None})
-    return folder
+    kept = {k: v for k, v in run.items() if v is not None}
+    return write_case(folder, xml, {"flight": kept}, joint_names=[], command_kind="torque")
 
 
 def test_a_body_without_joints_is_read(tmp_path: Path) -> None:

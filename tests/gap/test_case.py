@@ -16,6 +16,7 @@ from realsim.core.errors import GapError, RealsimError, UnknownNameError
 from realsim.gap import DiagnoseConfig, diagnose, explain, load_case
 from realsim.gap.pipeline import limited, replicates
 from realsim.gap.run import check_case, run_case
+from tests.truths.written import write_case
 
 from .truth import Truth
 
@@ -329,13 +330,7 @@ def test_tendons_and_loops_are_borne_and_said(case: Path) -> None:
 
 def test_a_closed_loop_is_diagnosed(tmp_path: Path) -> None:
     """A four-bar linkage whose crank has friction that the model lacks."""
-    folder = tmp_path / "case"
-    (folder / "runs").mkdir(parents=True)
-    (folder / "model.xml").write_text(FOUR_BAR)
-    log = {"joint_names": ["crank", "coupler", "rocker"], "actuator_names": ["motor"], "command_kind": "position",
-           "base": "fixed", "torque_kind": "none", "imu_site": None, "contact_bodies": []}  # fmt: skip
-    (folder / "log.json").write_text(json.dumps(log))
-    model = mujoco.MjModel.from_xml_string(FOUR_BAR)
+    runs, model = {}, mujoco.MjModel.from_xml_string(FOUR_BAR)
     model.dof_frictionloss[0] = 0.3
     for seed in range(3):
         rng, data = np.random.default_rng(seed), mujoco.MjData(model)
@@ -348,8 +343,9 @@ def test_a_closed_loop_is_diagnosed(tmp_path: Path) -> None:
                 rows.append([t, data.ctrl[0], *(data.qpos + rng.normal(0, 2e-4, 3))])
             mujoco.mj_step(model, data)
         R = np.array(rows)
-        np.savez(folder / "runs" / f"run_{seed}.npz", time=R[:, 0], command=R[:, 1:2], joint_pos=R[:, 2:])
-    found = diagnose(load_case(folder), DiagnoseConfig(effects=("coulomb_friction", "command_delay"), threads=1))
+        runs[f"run_{seed}"] = {"time": R[:, 0], "command": R[:, 1:2], "joint_pos": R[:, 2:]}
+    case = load_case(write_case(tmp_path, FOUR_BAR, runs))
+    found = diagnose(case, DiagnoseConfig(effects=("coulomb_friction", "command_delay"), threads=1))
     assert any("closed loops" in w for w in found.health["warnings"])
     assert found.causes[0]["effect"] == "coulomb_friction"
     assert found.causes[0]["joints"] == ["crank"]

@@ -22,6 +22,7 @@ from realsim.gap.effects.lookup import lookup
 from realsim.gap.inference.evidence.inverse import _phase
 from realsim.gap.inference.likelihood.comparison import _torque_steps
 from realsim.gap.simulation.simulate import Setting, Simulator
+from tests.truths.written import write_case
 
 from .truth import PENDULUM, Truth, make_case
 
@@ -39,18 +40,11 @@ MODEL = """
 
 def case_of(folder: Path, actuator: str, joint: str = "", kind: str = "position", gear: float = 1.0) -> Path:
     """A pendulum whose `actuator` is called servo; its log is of steps and a sine, in the actuator's units."""
-    (folder / "runs").mkdir(parents=True)
-    (folder / "model.xml").write_text(MODEL.format(joint=joint, actuator=actuator))
-    log = {
-        "joint_names": ["swing"], "actuator_names": ["servo"], "command_kind": kind, "base": "fixed",
-        "torque_kind": "measured", "imu_site": None, "contact_bodies": [],
-    }  # fmt: skip
-    (folder / "log.json").write_text(json.dumps(log))
     t = np.arange(200) * 0.01
     asked = (0.8 * np.sin(3 * t) + 0.5 * np.sign(np.sin(7 * t)) * (t > 0.3))[:, None]
     one = {"time": t, "command": gear * asked, "joint_pos": 0.9 * asked, "joint_torque": 2 * asked}
-    np.savez(folder / "runs" / "a.npz", **one)
-    return folder
+    xml = MODEL.format(joint=joint, actuator=actuator)
+    return write_case(folder, xml, {"a": one}, command_kind=kind, torque_kind="measured")
 
 
 def geared(folder: Path, gear: float) -> Path:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import mujoco
@@ -12,6 +11,7 @@ import pytest
 from realsim.core.errors import GapError
 from realsim.gap import Case, DiagnoseConfig, load_case
 from realsim.gap.simulation.simulate import Simulator
+from tests.truths.written import write_case
 
 ARM = """<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody><body pos="0 0 1">
 <joint name="j" axis="0 1 0" damping="0.05" armature="0.01"/>
@@ -41,12 +41,7 @@ def dropped() -> dict[str, np.ndarray]:
 
 
 def case_of(folder: Path, **arrays: np.ndarray) -> Case:
-    (folder / "runs").mkdir(parents=True)
-    (folder / "model.xml").write_text(ARM)
-    log = {"joint_names": ["j"], "actuator_names": ["a"], "command_kind": "position", "base": "fixed"}
-    (folder / "log.json").write_text(json.dumps(log | {"torque_kind": "none", "imu_site": None, "contact_bodies": []}))
-    np.savez(folder / "runs" / "one.npz", **arrays)
-    return load_case(folder)
+    return load_case(write_case(folder, ARM, {"one": arrays}))
 
 
 def missed(case: Case) -> float:

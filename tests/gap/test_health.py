@@ -18,6 +18,7 @@ from realsim.gap.case.health import examine, gathered
 from realsim.gap.case.health.conventions import log_conventions
 from realsim.gap.case.health.signals import spikes
 from realsim.gap.simulation.simulate import Simulator
+from tests.truths.written import write_case
 
 from .truth import Truth
 
@@ -251,21 +252,12 @@ def test_replicates_give_the_repeatability(good: Case) -> None:
 
 
 def floating_case(folder: Path, quat: list[float], height: float = 0.3, acc: float = 9.81) -> Case:
-    (folder / "runs").mkdir(parents=True)
-    (folder / "model.xml").write_text(QUADRUPED)
-    log = {
-        "joint_names": ["leg"], "actuator_names": ["leg_servo"], "command_kind": "position", "base": "floating",
-        "torque_kind": "none", "imu_site": "imu", "contact_bodies": [],
-    }  # fmt: skip
-    (folder / "log.json").write_text(json.dumps(log))
     t = np.arange(200) * 0.01 + 1e-4 * np.random.default_rng(0).random(200)
     q = 0.1 * np.sin(3 * t)[:, None]
     one = np.ones((200, 1))
-    np.savez(
-        folder / "runs" / "a.npz", time=t, command=q, joint_pos=q, base_pos=one * [0, 0, height],
-        base_quat=one * np.array(quat), imu_gyro=0 * one * [1, 1, 1], imu_acc=one * [0, 0, acc],
-    )  # fmt: skip
-    return load_case(folder)
+    run = {"time": t, "command": q, "joint_pos": q, "base_pos": one * [0, 0, height], "base_quat": one * np.array(quat)}
+    run |= {"imu_gyro": 0 * one * [1, 1, 1], "imu_acc": one * [0, 0, acc]}
+    return load_case(write_case(folder, QUADRUPED, {"a": run}, imu_site="imu"))
 
 
 @pytest.mark.parametrize(

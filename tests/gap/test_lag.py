@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,18 +12,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.diagnosis.unstable import DRONE, fly
 from realsim.gap import Case, DiagnoseConfig, diagnose, load_case
 from realsim.gap.answer.patch import patched_xml
 from realsim.gap.simulation.control import lagged
 from realsim.gap.simulation.simulate import Simulator
+from tests.truths.drone import DRONE, fly
+from tests.truths.written import write_case
 
 CONFIG = DiagnoseConfig(threads=1, bootstrap=50, effects=("actuator_lag", "command_delay", "motor_gain", "armature"))
 HINGE = """<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody><body pos="0 0 1">
 <joint name="hinge" axis="0 1 0" damping="0.1" armature="0.002"/>
 <inertial pos="0 0 -0.3" mass="0.5" diaginertia="0.004 0.004 0.001"/></body></worldbody>
 <actuator><motor name="drive" joint="hinge"/></actuator></mujoco>"""
-LOG = {"command_kind": "torque", "torque_kind": "none", "imu_site": None}
 
 
 def with_lag(xml: str, lag: float) -> str:
@@ -39,11 +38,7 @@ def with_lag(xml: str, lag: float) -> str:
 
 def hinges(folder: Path, real: str, model: str = HINGE) -> Case:
     """Runs of a hinge that is driven by sums of waves, as `real` moves, against `model`."""
-    (folder / "runs").mkdir(parents=True)
-    (folder / "model.xml").write_text(model)
-    log = LOG | {"joint_names": ["hinge"], "actuator_names": ["drive"], "base": "fixed"}
-    (folder / "log.json").write_text(json.dumps(log))
-    rng, robot = np.random.default_rng(3), mujoco.MjModel.from_xml_string(real)
+    runs, rng, robot = {}, np.random.default_rng(3), mujoco.MjModel.from_xml_string(real)
     time = np.arange(0.0, 3.0, 0.01)
     for k in range(3):
         waves = rng.uniform(0.5, 4.0, 3), rng.uniform(0, 6, 3)
@@ -55,21 +50,16 @@ def hinges(folder: Path, real: str, model: str = HINGE) -> Case:
             place.append(data.qpos[0] + rng.normal(0, 2e-4))
             data.ctrl[:] = u
             mujoco.mj_step(robot, data, 5)
-        arrays = {"time": time, "command": command[:, None], "joint_pos": np.array(place)[:, None]}
-        np.savez(folder / "runs" / f"run_{k}.npz", **arrays)
-    return load_case(folder)
+        runs[f"run_{k}"] = {"time": time, "command": command[:, None], "joint_pos": np.array(place)[:, None]}
+    return load_case(write_case(folder, model, runs, command_kind="torque"))
 
 
 def flights(folder: Path, lag: float, own: float = 0.0) -> Case:
     """Of a drone whose rotors lag, held up by its controller, against a model whose rotors have a lag of their own."""
-    (folder / "runs").mkdir(parents=True)
-    (folder / "model.xml").write_text(with_lag(DRONE, own) if own else DRONE)
-    log = LOG | {"joint_names": ["tilt"], "actuator_names": [f"rotor{i}" for i in range(4)], "base": "floating"}
-    (folder / "log.json").write_text(json.dumps(log | {"imu_site": "imu"}))
     rng, robot = np.random.default_rng(0), mujoco.MjModel.from_xml_string(with_lag(DRONE, lag) if lag else DRONE)
-    for k in range(3):
-        np.savez(folder / "runs" / f"flight_{k}.npz", **fly(robot, rng, seconds=2.0))
-    return load_case(folder)
+    flown = {f"flight_{k}": fly(robot, rng, seconds=2.0) for k in range(3)}
+    model = with_lag(DRONE, own) if own else DRONE
+    return load_case(write_case(folder, model, flown, command_kind="torque", imu_site="imu"))
 
 
 @given(lag=st.floats(0.002, 0.3), dt=st.floats(5e-4, 0.01))

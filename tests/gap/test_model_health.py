@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +17,7 @@ from realsim.gap.case.health import examine
 from realsim.gap.case.health.examination import _runaway
 from realsim.gap.case.runs import Run
 from realsim.gap.simulation.simulate import Simulator
+from tests.truths.written import write_case
 
 JOINTS = ["one", "two", "three"]
 
@@ -48,15 +48,8 @@ def logged(xml: str, commands: np.ndarray, rate: float = 100.0) -> np.ndarray:
 
 
 def case_of(folder: Path, xml: str, commands: np.ndarray, positions: np.ndarray, **said: Any) -> Case:
-    (folder / "runs").mkdir(parents=True)
-    (folder / "model.xml").write_text(xml)
-    log = {"joint_names": JOINTS, "actuator_names": [f"{n}_servo" for n in JOINTS], "command_kind": "position"}
-    log |= {"base": "fixed", "torque_kind": "none", "imu_site": None, "contact_bodies": []} | said
-    (folder / "log.json").write_text(json.dumps(log))
-    for name in ("a", "b"):
-        np.savez(folder / "runs" / f"{name}.npz", time=np.arange(len(commands)) / 100, command=commands,
-                 joint_pos=positions)  # fmt: skip
-    return load_case(folder)
+    run = {"time": np.arange(len(commands)) / 100, "command": commands, "joint_pos": positions}
+    return load_case(write_case(folder, xml, dict.fromkeys("ab", run), **said))
 
 
 def health(case: Case) -> dict[str, Any]:
@@ -91,16 +84,10 @@ def test_a_robot_that_begins_inside_the_ground_is_told_how_deep(tmp_path: Path) 
     commands = 0.02 * np.sin(3 * time)[:, None]
     said = {}
     for name, height in (("right", 0.25), ("buried", 0.2)):
-        folder = tmp_path / name
-        (folder / "runs").mkdir(parents=True)
-        (folder / "model.xml").write_text(xml)
-        log = {"joint_names": ["leg"], "actuator_names": ["leg_servo"], "command_kind": "position", "base": "floating"}
-        log |= {"torque_kind": "none", "imu_site": None, "contact_bodies": []}
-        (folder / "log.json").write_text(json.dumps(log))
         base = np.tile([0.0, 0.0, height], (len(time), 1))
-        for run in ("a", "b"):
-            np.savez(folder / "runs" / f"{run}.npz", time=time, command=commands, joint_pos=commands, base_pos=base)
-        said[name] = [w for w in health(load_case(folder))["warnings"] if "inside the ground" in w]
+        run = {"time": time, "command": commands, "joint_pos": commands, "base_pos": base}
+        case = load_case(write_case(tmp_path / name, xml, dict.fromkeys("ab", run)))
+        said[name] = [w for w in health(case)["warnings"] if "inside the ground" in w]
     assert not said["right"]
     assert any(f"{depth} mm inside the ground" in said["buried"][0] for depth in (49, 50))
 
@@ -123,21 +110,16 @@ def test_a_joint_that_leaves_its_rest_fast_begins_at_rest(tmp_path: Path) -> Non
     assert not any("begin at rest" in w for w in found["warnings"])
 
 
-def test_a_joint_that_spins_up_runs_away_and_one_without_numbers_explodes(tmp_path: Path) -> None:
-    free = '<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="one" axis="0 0 1"/><geom size="0.1" {mass}/>'
-    free += '</body></worldbody><actuator><motor name="one_servo" joint="one"/></actuator></mujoco>'
+def test_a_joint_that_spins_up_runs_away(tmp_path: Path) -> None:
+    free = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="one" axis="0 0 1"/>
+    <geom size="0.1" mass="0.5"/></body></worldbody><actuator><motor name="one_servo" joint="one"/></actuator>
+    </mujoco>"""
     time = np.arange(0.0, 3.0, 0.01)
     torque = 40.0 * np.ones((len(time), 1))
     torque[0] = 0.0
-    for name, mass, word in (("away", 'mass="0.5"', "runs away"),):
-        (tmp_path / name / "runs").mkdir(parents=True)
-        (tmp_path / name / "model.xml").write_text(free.format(mass=mass))
-        log = {"joint_names": ["one"], "actuator_names": ["one_servo"], "command_kind": "torque", "base": "fixed"}
-        log |= {"torque_kind": "none", "imu_site": None, "contact_bodies": []}
-        (tmp_path / name / "log.json").write_text(json.dumps(log))
-        np.savez(tmp_path / name / "runs" / "a.npz", time=time, command=torque, joint_pos=0.1 * time[:, None] ** 2)
-        with pytest.raises(GapError, match=word):
-            health(load_case(tmp_path / name))
+    run = {"time": time, "command": torque, "joint_pos": 0.1 * time[:, None] ** 2}
+    with pytest.raises(GapError, match="runs away"):
+        health(load_case(write_case(tmp_path, free, {"a": run}, command_kind="torque")))
 
 
 @pytest.mark.parametrize(("scale", "said"), [(1.0, ""), (1e-3, "cannot drive the logged motion"), (1e3, "runs away")])

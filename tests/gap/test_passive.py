@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,10 +9,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from benchmarks.diagnosis.strangers import CARTPOLE, GRIPPER
 from realsim.gap import Case, DiagnoseConfig, diagnose, load_case
 from realsim.gap.simulation.simulate import Simulator
 from tests.gap.searching import CONFIG, fitting
+from tests.truths.small_robots import CARTPOLE, GRIPPER
+from tests.truths.written import write_case
 
 TIME = np.arange(0.0, 4.0, 0.01)
 EFFECTS = ("viscous_friction", "coulomb_friction", "payload")
@@ -25,17 +25,10 @@ def case_of(
     """What MuJoCo does under these commands, (T,) each, with so much more damping at the last joint and its drives'
     gains times so much."""
     model = mujoco.MjModel.from_xml_string(xml)
-    names = [
-        [get(i).name for i in range(count)] for get, count in ((model.joint, model.njnt), (model.actuator, model.nu))
-    ]
     model.dof_damping[-1] += pin
     model.actuator_gainprm *= gain
     model.actuator_biasprm *= gain
-    (folder / "runs").mkdir(parents=True)
-    (folder / "model.xml").write_text(xml)
-    log = {"joint_names": names[0], "actuator_names": names[1], "command_kind": kind, "base": "fixed"}
-    (folder / "log.json").write_text(json.dumps(log))
-    rng = np.random.default_rng(0)
+    runs, rng = {}, np.random.default_rng(0)
     for k, command in enumerate(commands):
         data, places = mujoco.MjData(model), []
         data.ctrl[:] = command[0]
@@ -44,8 +37,8 @@ def case_of(
             places.append(data.qpos + rng.normal(0, 1e-4, model.nq))
             data.ctrl[:] = value
             mujoco.mj_step(model, data, 5)
-        np.savez(folder / "runs" / f"{k}.npz", time=TIME, command=command[:, None], joint_pos=np.array(places))
-    return load_case(folder)
+        runs[str(k)] = {"time": TIME, "command": command[:, None], "joint_pos": np.array(places)}
+    return load_case(write_case(folder, xml, runs, command_kind=kind))
 
 
 def cart(folder: Path, pin: float = 0.0) -> Case:

@@ -17,6 +17,7 @@ from realsim.core.files import to_json
 from realsim.gap import EFFECTS, DiagnoseConfig, apply_patch, explain, load_case
 from realsim.gap.answer.patch import asset_files, empty_patch, make_patch, patched_xml
 from realsim.gap.simulation.simulate import Simulator
+from tests.truths.written import write_case
 
 from .truth import FINE, Truth
 
@@ -51,19 +52,11 @@ def arm(made: Callable[..., Path]) -> Iterator[Simulator]:
 @pytest.fixture(scope="module")
 def walker(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Simulator]:
     folder = tmp_path_factory.mktemp("standing")
-    (folder / "runs").mkdir()
-    (folder / "model.xml").write_text(STANDING)
-    log = {
-        "joint_names": ["hip_l", "hip_r"], "actuator_names": ["hip_l_servo", "hip_r_servo"], "imu_site": "imu",
-        "command_kind": "position", "base": "floating", "torque_kind": "none", "contact_bodies": [],
-    }  # fmt: skip
-    (folder / "log.json").write_text(json.dumps(log))
     t = np.arange(150) * 0.01
     q, one = 0.1 * np.sin(4 * t)[:, None] * [1, 1], np.ones((150, 1))
-    np.savez(
-        folder / "runs" / "a.npz", time=t, command=q, joint_pos=q, base_pos=one * [0, 0, 0.33],
-        base_quat=one * [1, 0, 0, 0], imu_gyro=one * [0, 0, 0], imu_acc=one * [0, 0, 9.81],
-    )  # fmt: skip
+    run = {"time": t, "command": q, "joint_pos": q, "base_pos": one * [0, 0, 0.33], "base_quat": one * [1, 0, 0, 0]}
+    run |= {"imu_gyro": one * [0, 0, 0], "imu_acc": one * [0, 0, 9.81]}
+    write_case(folder, STANDING, {"a": run}, imu_site="imu")
     with Simulator(load_case(folder), DiagnoseConfig(threads=1)) as found:
         yield found
 

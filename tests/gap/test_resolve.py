@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,6 +15,7 @@ from realsim.gap import DiagnoseConfig, apply_patch, load_case
 from realsim.gap.answer.patch import make_patch
 from realsim.gap.case.resolve import resolve
 from realsim.gap.simulation.simulate import Setting, Simulator
+from tests.truths.written import write_case
 
 from .test_patch import STANDING
 from .truth import ARM, PENDULUM
@@ -45,21 +45,11 @@ OPTIONS = ("", 'inertiafromgeom="true"', 'boundmass="2" boundinertia="3"', 'bala
 def simulator_of(folder: Path, xml: str) -> Simulator:
     """Of a case with one short run in which nothing happens; joints and actuators are the model's."""
     model = mujoco.MjModel.from_xml_string(xml)
-    (folder / "runs").mkdir(parents=True)
-    (folder / "model.xml").write_text(xml)
-    joints = [model.joint(i).name for i in range(model.njnt) if model.jnt_type[i] >= 2]
-    floating = bool((model.jnt_type == 0).any())
-    log = {
-        "joint_names": joints, "actuator_names": [model.actuator(i).name for i in range(model.nu)], "imu_site": None,
-        "command_kind": "position", "base": "floating" if floating else "fixed", "torque_kind": "none",
-    }  # fmt: skip
-    (folder / "log.json").write_text(json.dumps(log))
-    t = np.arange(30) * 0.01
-    run = {"time": t, "command": np.zeros((30, model.nu)), "joint_pos": np.zeros((30, len(joints)))}
-    if floating:
+    joints = int((model.jnt_type >= 2).sum())
+    run = {"time": np.arange(30) * 0.01, "command": np.zeros((30, model.nu)), "joint_pos": np.zeros((30, joints))}
+    if (model.jnt_type == 0).any():
         run |= {"base_pos": np.ones((30, 1)) * [0, 0, 1]}
-    np.savez(folder / "runs" / "a.npz", **run)
-    return Simulator(load_case(folder), DiagnoseConfig(threads=1))
+    return Simulator(load_case(write_case(folder, xml, {"a": run})), DiagnoseConfig(threads=1))
 
 
 def differing(a: mujoco.MjModel, b: mujoco.MjModel) -> list[str]:

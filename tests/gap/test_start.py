@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +15,7 @@ from realsim.gap import DiagnoseConfig, Run, diagnose, load_case
 from realsim.gap.case.health import examine
 from realsim.gap.simulation.simulate import Simulator
 from realsim.gap.simulation.start import first_fit
+from tests.truths.written import write_case
 
 from .truth import ARM, PENDULUM, Truth
 
@@ -30,19 +30,14 @@ def swinging(
     rng = np.random.default_rng(1)
     model = mujoco.MjModel.from_xml_string(xml)
     model.opt.timestep = 0.0005
-    joints = [model.joint(i).name for i in range(model.njnt)]
-    log = {"joint_names": joints, "actuator_names": [model.actuator(i).name for i in range(model.nu)]}
-    log |= {"command_kind": "position", "base": "fixed", "torque_kind": "none"}
-    (folder / "runs").mkdir(parents=True)
-    (folder / "model.xml").write_text(xml)
-    (folder / "log.json").write_text(json.dumps(log))
+    runs = {}
     time = np.arange(SAMPLES) / RATE + rng.uniform(0, 2e-4, SAMPLES)
     for k in range(3):
-        turns = rng.uniform([0.4, 0.0], [1.2, 6.0], (len(joints), 2))
+        turns = rng.uniform([0.4, 0.0], [1.2, 6.0], (model.njnt, 2))
         command = np.stack([0.6 * np.sin(2 * np.pi * f * time + p) for f, p in turns], axis=1)
         data = mujoco.MjData(model)
-        data.qpos[:] = command[0] + away * rng.choice([-1, 1], len(joints))
-        data.qvel[:] = speed * rng.choice([-1, 1], len(joints))
+        data.qpos[:] = command[0] + away * rng.choice([-1, 1], model.njnt)
+        data.qvel[:] = speed * rng.choice([-1, 1], model.njnt)
         state = {"init_qpos": data.qpos + offset, "init_qvel": data.qvel.copy()} if given else {}
         position, velocity = np.zeros_like(command), np.zeros_like(command)
         for i, now in enumerate(command):
@@ -50,9 +45,8 @@ def swinging(
             mujoco.mj_step(model, data, 16)
         position += offset + rng.normal(0, NOISE, position.shape)
         velocity += rng.normal(0, 25 * NOISE, velocity.shape)
-        run = {"time": time, "command": command, "joint_pos": position, "joint_vel": velocity}
-        np.savez(folder / "runs" / f"run_{k}.npz", **run, **state)
-    return folder
+        runs[f"run_{k}"] = {"time": time, "command": command, "joint_pos": position, "joint_vel": velocity} | state
+    return write_case(folder, xml, runs)
 
 
 def missed(simulator: Simulator, settings: list[Any] | None = None) -> float:

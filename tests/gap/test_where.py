@@ -18,6 +18,7 @@ from realsim.gap.inference.evidence.shooting import shoot
 from realsim.gap.inference.evidence.where import by_horizon, evidence, localise, significant
 from realsim.gap.inference.likelihood.comparison import Comparison
 from realsim.gap.simulation.simulate import Simulator
+from tests.truths.written import write_case
 
 from .truth import FINE, Truth
 
@@ -170,21 +171,12 @@ def quadruped(folder: Path) -> Case:
         f'contype="0" conaffinity="0"/>{"".join(legs)}</body></worldbody>'
         f"<actuator>{''.join(servos)}</actuator></mujoco>"
     )
-    (folder / "runs").mkdir(parents=True)
-    (folder / "model.xml").write_text(xml)
-    log = {
-        "joint_names": names, "actuator_names": [f"{n}_servo" for n in names], "command_kind": "position",
-        "base": "floating", "torque_kind": "none", "imu_site": None, "contact_bodies": [],
-    }  # fmt: skip
-    (folder / "log.json").write_text(json.dumps(log))
     t = np.arange(400) * 0.01
     bend = 0.7 + 0.15 * np.sin(4 * t) * np.clip(t, 0, 1)
     q = np.tile(np.stack([0 * t, bend, -2 * bend], axis=1), (1, 4))
     pose = np.tile([0.0, 0, 0.4 * np.cos(0.7) + 0.02], (400, 1))
-    for name in "abc":
-        np.savez(folder / "runs" / f"{name}.npz", time=t, command=q, joint_pos=q, base_pos=pose,
-                 base_quat=np.tile([1.0, 0, 0, 0], (400, 1)))  # fmt: skip
-    return load_case(folder)
+    run = {"time": t, "command": q, "joint_pos": q, "base_pos": pose, "base_quat": np.tile([1.0, 0, 0, 0], (400, 1))}
+    return load_case(write_case(folder, xml, dict.fromkeys("abc", run)))
 
 
 def test_a_payload_shows_in_the_rows_without_motors_and_friction_does_not(tmp_path: Path) -> None:

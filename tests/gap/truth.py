@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import mujoco
 import numpy as np
+
+from tests.truths.written import write_case
 
 PENDULUM = """
 <mujoco model="pendulum">
@@ -125,22 +126,8 @@ def make_case(
     nominal = spec.copy().compile()
     joints = [nominal.joint(i).name for i in range(nominal.njnt)]
     real = _robot(spec, truth, rng, nuisance)
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "model.xml").write_text(xml)
-    log = {
-        "joint_names": joints,
-        "actuator_names": [nominal.actuator(i).name for i in range(nominal.nu)],
-        "command_kind": "position",
-        "command_hold": "zoh",
-        "base": "fixed",
-        "torque_kind": torque,
-        "imu_site": imu,
-        "contact_bodies": [],
-        "notes": "made up",
-    }
-    (folder / "log.json").write_text(json.dumps(log))
-    (folder / "runs").mkdir(exist_ok=True)
     kinds = ["sines", "slow", "steps", "chirp", "sines", "slow", "chirp", "steps"]
+    written: dict[str, dict[str, np.ndarray]] = {}
     drift = {j: nuisance * rng.normal(0, 0.02, 3) for j in joints}
     for i in range(runs):
         seconds = rng.uniform(*span)
@@ -152,11 +139,8 @@ def make_case(
             data.pop("joint_torque")
         if not velocity:
             data.pop("joint_vel")
-        np.savez(
-            folder / "runs" / f"run_{i + 1:02d}.npz",
-            **{k: v.astype(np.float32) if k != "time" else v for k, v in data.items()},
-        )
-    return folder
+        written[f"run_{i + 1:02d}"] = {k: v.astype(np.float32) if k != "time" else v for k, v in data.items()}
+    return write_case(folder, xml, written, command_hold="zoh", torque_kind=torque, imu_site=imu)
 
 
 def _robot(spec, truth: Truth, rng: np.random.Generator, nuisance: float):

@@ -123,3 +123,15 @@ def with_floor(solid: Manifold, margin: float = 0.5) -> TerrainMesh:
 def _sheet(lower: NDArray[np.float64], upper: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     corners = [[*lower, 0], [upper[0], lower[1], 0], [*upper, 0], [lower[0], upper[1], 0]]
     return np.array(corners, float), np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+
+
+def grid_mesh(
+    height: Callable[[np.ndarray, np.ndarray], np.ndarray], size: float, cells: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """An open sheet over a square."""
+    t = np.linspace(-size / 2, size / 2, cells + 1)
+    x, y = np.meshgrid(t, t)
+    n = cells + 1
+    a = (np.arange(cells)[:, None] * n + np.arange(cells)).ravel()
+    faces = np.concatenate([np.stack([a, a + 1, a + n], 1), np.stack([a + 1, a + n + 1, a + n], 1)])
+    return np.column_stack([x.ravel(), y.ravel(), height(x, y).ravel()]), faces

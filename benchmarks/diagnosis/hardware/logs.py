@@ -17,6 +17,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from tests.truths.small_robots import SERVO
+
 # T-Motor AK80-6 with a half-metre rod and a bob; figures of the test bench's own description.
 PENDULUM = """
 <mujoco>
@@ -24,14 +26,6 @@ PENDULUM = """
   <worldbody><body name="rod" pos="0 0 1"><joint name="swing" axis="0 1 0" armature="0.0022" damping="0.01"/>
     <inertial pos="0 0 -0.45" mass="0.676" diaginertia="0.006 0.006 0.0005"/></body></worldbody>
   <actuator><motor name="swing_motor" joint="swing"/></actuator>
-</mujoco>"""
-# Feetech STS3250 with a weight on an arm; the stiffness of its loop in N m/rad is a guess.
-SERVO = """
-<mujoco>
-  <option timestep="0.002" integrator="implicitfast"/>
-  <worldbody><body name="arm" pos="0 0 1"><joint name="servo" axis="0 1 0" armature="0.03" damping="0.8"/>
-    <inertial pos="0 0 -0.12" mass="1.13" diaginertia="0.001 0.001 0.001"/></body></worldbody>
-  <actuator><position name="servo_loop" joint="servo" kp="25" kv="1" forcerange="-5 5"/></actuator>
 </mujoco>"""
 WINDOW = 3.0
 """Seconds of a window: several periods of the slowest motion in these logs."""

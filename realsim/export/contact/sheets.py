@@ -40,7 +40,7 @@ THIN = 0.006  # metres of a sheet that has air behind it, and of one that is upr
 # corridor that it was not set on keeps its 1.5 mm with 12 % more parts, and below 43 m² nothing changes.
 EDGE, BULGE = 1.0, 1.0
 # Set on made corridors of 4 x 2 and 9 x 6 m (the second: 448 to 80 parts); on one of 35 x 21 m, where they were not,
-# 1,254 to 514 parts, and 99.2 to 98.6 % of the rays from the side stop (benchmarks/contact/rooms.py).
+# 1,254 to 514 parts, and 99.2 to 98.6 % of the rays from the side stop (tests/truths/scanned_rooms.py).
 CLOSED = 0.15  # metres: half the width of a bay in a rim that nothing was seen through
 BUMPS = 1.5  # tolerances that a patch may stand out of the sheets of others...
 EDGES = 0.5  # ...for it to be an edge or a bump of theirs where more than this share of it does not

@@ -11,6 +11,7 @@ import pytest
 
 from realsim.cli.command_line import main
 from tests.gap.truth import ARM
+from tests.truths.written import write_case
 
 SCALE, DEFAULT = 0.25, np.array([0.3, -0.4])
 WEIGHTS = np.random.default_rng(0).normal(size=(3, 2)).astype(np.float32)
@@ -36,22 +37,10 @@ def write_policy(path: Path) -> Path:
     return path
 
 
-def write_case(folder: Path, sent: float) -> Path:
+def answering(folder: Path, sent: float) -> Path:
     """An arm whose policy answers a gyroscope; `sent` is the share of its actions that reaches the motors."""
     model = mujoco.MjModel.from_xml_string(ARM)
-    (folder / "runs").mkdir(parents=True)
-    (folder / "model.xml").write_text(ARM)
-    log = {
-        "joint_names": ["shoulder", "elbow"],
-        "actuator_names": ["shoulder_servo", "elbow_servo"],
-        "command_kind": "position",
-        "base": "fixed",
-        "torque_kind": "none",
-        "imu_site": None,
-        "contact_bodies": [],
-    }
-    (folder / "log.json").write_text(json.dumps(log))
-    rng, every = np.random.default_rng(1), 5
+    rng, every, runs = np.random.default_rng(1), 5, {}
     for name in ("a", "b", "c"):
         time = 0.02 * np.arange(150)
         rate, phase = rng.uniform(1, 6, (2, 1, 3))
@@ -67,16 +56,17 @@ def write_case(folder: Path, sent: float) -> Path:
             vel.append(data.qvel.copy())
             data.ctrl[:] = target
             mujoco.mj_step(model, data, every)
-        np.savez(folder / "runs" / f"{name}.npz", time=time, command=command, joint_pos=pos, joint_vel=vel,
-                 imu_gyro=gyro, base_quat=np.tile([1.0, 0, 0, 0], (len(time), 1)))  # fmt: skip
-    return folder
+        level = np.tile([1.0, 0, 0, 0], (len(time), 1))
+        runs[name] = {"time": time, "command": command, "joint_pos": pos, "joint_vel": vel, "imu_gyro": gyro}
+        runs[name] |= {"base_quat": level}
+    return write_case(folder, ARM, runs)
 
 
 @pytest.mark.parametrize(("sent", "verdict"), [(1.0, "kept"), (0.5, "broken")])
 def test_the_policy_alone_is_checked_and_nothing_written(
     sent: float, verdict: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    case, policy = write_case(tmp_path / "case", sent), write_policy(tmp_path / "policy.onnx")
+    case, policy = answering(tmp_path / "case", sent), write_policy(tmp_path / "policy.onnx")
     monkeypatch.chdir(tmp_path)
     line = ["diagnose", str(case), "--policy", str(policy), "--check"]
     assert main([*line, "--json"]) == 0, capsys.readouterr().out
