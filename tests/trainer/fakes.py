@@ -103,15 +103,14 @@ class FakePhysics:
         self.params.append((ids, params))
 
 
-def walk(velocity):
-    """A motion: every body moves ahead at this speed, m/s, or each world at its own (N,)."""
-    velocity = torch.as_tensor(velocity)
+def walk(velocity: float):
+    """A motion: every body moves ahead at this speed, m/s."""
 
     def move(physics) -> None:
         s = physics.state
         for name in ("base_pos", "torso_pos", "camera_pos"):
             getattr(s, name)[:, 0] += velocity * physics.policy_dt
-        s.foot_pos[..., 0] += velocity[..., None] * physics.policy_dt
+        s.foot_pos[..., 0] += velocity * physics.policy_dt
         s.base_lin_vel[:, 0] = velocity
 
     return move

@@ -15,12 +15,12 @@ def write_case(folder: Path, xml: str, runs: Mapping[str, Mapping[str, Any]], **
     """model.xml, log.json and runs/NAME.npz. Where `log` is silent: all joints and actuators of the model, position
     targets, and a base that floats where a joint is free."""
     model = mujoco.MjModel.from_xml_string(xml)
-    joints = [model.joint(i) for i in range(model.njnt)]
+    moving = np.flatnonzero(model.jnt_type >= int(mujoco.mjtJoint.mjJNT_SLIDE))
     facts = {
-        "joint_names": [j.name for j in joints if j.type[0] >= mujoco.mjtJoint.mjJNT_SLIDE],
+        "joint_names": [model.joint(int(i)).name for i in moving],
         "actuator_names": [model.actuator(i).name for i in range(model.nu)],
         "command_kind": "position",
-        "base": "floating" if (model.jnt_type == mujoco.mjtJoint.mjJNT_FREE).any() else "fixed",
+        "base": "floating" if (model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)).any() else "fixed",
         "torque_kind": "none",
         "imu_site": None,
     }

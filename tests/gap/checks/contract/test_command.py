@@ -81,7 +81,7 @@ def test_the_policy_alone_is_checked_and_nothing_written(
 
 
 def test_what_is_no_exported_policy_says_what_to_give(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    case = write_case(tmp_path / "case", 1.0)
+    case = answering(tmp_path / "case", 1.0)
     (tmp_path / "policy.pt").write_bytes(b"PK\x03\x04")
     (tmp_path / "robot.xml").write_text(ARM)
     for name, hint in (("policy.pt", "policy.onnx"), ("robot.xml", "robot.xml"),
