@@ -8,6 +8,7 @@ import os
 import sys
 import time
 from collections.abc import Awaitable, Callable
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +20,14 @@ from realsim.cli.roots import Roots
 from realsim.core.errors import RealsimError
 from tests.gap.truth import ARM, Truth, make_case
 
-mcp = pytest.importorskip("mcp", reason="extra `mcp` is not installed")
+pytestmark = pytest.mark.skipif(find_spec("mcp") is None, reason="extra `mcp` is not installed")
 TOOLS = {"inspect", "reconstruct", "contact", "export", "diagnose", "report"}
 
 
 def talk(roots: list[Path], conversation: Callable[[Any], Awaitable[None]]) -> None:
     """A server of its own with a client that says something."""
+    import mcp  # takes a second, which workers without these tests need not
+
     server = mcp.StdioServerParameters(
         command=sys.executable,
         args=["-m", "realsim", "mcp", "--root", *map(str, roots)],
@@ -175,6 +178,8 @@ def test_a_call_that_is_given_up_ends_its_command(root: Path) -> None:
 def test_a_call_ends_at_its_limit_and_a_folder_of_everything_is_refused(
     root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    import mcp
+
     from realsim.cli import roots
     from realsim.cli.mcp_server import build
 
