@@ -100,6 +100,7 @@ def a_column_a_joint(
         turns, times = np.diff(code) != 0, columns[clock]
         in_turn = turns.mean() > EVEN and (code[len(names) :] == code[: -len(names)]).mean() > EVEN
         one_by_one = turns.sum() == len(names) - 1 and (np.diff(times)[turns] < 0).all()
+        one_by_one = one_by_one and set(english(place)) & {"joint", "variable", "signal"}  # not a run after the other
         if not (in_turn or one_by_one) or not all(rises_evenly(times[rows]) for rows in each):
             continue
         order = sorted(range(len(names)), key=lambda k: each[k][0])

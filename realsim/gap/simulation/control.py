@@ -97,8 +97,10 @@ def tracks_of(context: Context, model: Any, sensors: F64, settle: int, edit: Edi
     case = context.case
 
     def take(prefix: str, names: Sequence[str], width: int = 1) -> F64:
-        columns = [model.sensor(prefix + n).adr[0] + k for n in names for k in range(width)]
-        return sensors[:, columns]
+        key = prefix, *names
+        if key not in context.sensors:
+            context.sensors[key] = [model.sensor(prefix + n).adr[0] + k for n in names for k in range(width)]
+        return sensors[:, context.sensors[key]]
 
     pos, vel = take("rs_pos_", case.joint_names), take("rs_vel_", case.joint_names)
     force = take("rs_force_", case.actuator_names)

@@ -351,3 +351,14 @@ def test_what_is_in_no_known_unit(arm: Log, tmp_path: Path) -> None:
     found = propose(read(path), target)
     assert found.assignments["joint_torque"].scale == pytest.approx([8, 8], rel=0.3)
     assert (found.torque_kind, found.assignments["joint_torque"].doubtful) == ("current_times_constant", True)
+
+
+def test_runs_one_after_the_other_are_no_joints(arm: Log, tmp_path: Path) -> None:
+    rows = [
+        f"{t:.6f},{run},{q[0]:.9g},{q[1]:.9g}"
+        for run in ("walk", "stand")
+        for t, q in zip(arm.time, arm.pos, strict=True)
+    ]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(["time,run,q1,q2", *rows]))
+    assert [r.streams[0].count for r in read(path)] == [len(arm.time)] * 2

@@ -53,6 +53,8 @@ class Context:
     """Sizes that the user knows."""
     travels: dict[str, float] = field(default_factory=dict)
     """Joint -> range of its positions in the log, rad or m."""
+    sensors: dict[tuple[str, ...], list[int]] = field(default_factory=dict)
+    """Columns of MuJoCo's sensors by prefix and names, as they were first asked for: no effect changes them."""
     reversals: dict[str, int] = field(default_factory=dict)
     load_reversals: dict[str, int] = field(default_factory=dict)
 
