@@ -60,7 +60,7 @@ class Search:
             )
         self.best = self.fitter.prepared(self.best)
         if self.best.causes:  # what was found on some of the runs, on all of them
-            self.best = self.fitter.fit(self.best.causes, few=self.fitter.rough(self.best, every=True)) or self.best
+            self.best = self.fitter.fit(self.best.causes) or self.best
             self._keep(self.best)
 
     def _hopeless(self, left: F64) -> bool:
