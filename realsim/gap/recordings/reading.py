@@ -165,7 +165,10 @@ def joined(recordings: Sequence[Recording]) -> list[Recording]:
         if not (apart and all(len(p.streams) == 1 for p in parts) and _one_clock(parts)):
             result += parts
             continue
-        streams = tuple(_of_joints(replace(p.streams[0], name=_half(p))) for p in parts)
+        halves = [_half(p) for p in parts]
+        lone = halves.count("") == 1  # a run's name would be another one in each
+        names = [half or ("" if lone else p.name) for half, p in zip(halves, parts, strict=True)]
+        streams = tuple(_of_joints(replace(p.streams[0], name=n)) for n, p in zip(names, parts, strict=True))
         files = ", ".join(p.name for p in parts)
         notes = (*(n for p in parts for n in p.notes), f"{files} are taken as one run")
         result.append(replace(parts[0], name=name or parts[0].name, streams=streams, notes=notes))
@@ -179,14 +182,17 @@ def _bare(name: str) -> str:
 
 def _half(recording: Recording) -> str:
     """Name of a table among those of its run: the words of signals in its file's name, the same in all runs."""
-    words = [w for w in english(recording.name) if not w.isdigit()]
-    return "_".join([w for w in words if w in (*SIDES, *KINDS)] or words) or recording.name
+    return "_".join(w for w in english(recording.name) if w in (*SIDES, *KINDS))
 
 
 def _of_joints(stream: Stream) -> Stream:
     """A table of whose columns none says what it holds, so that its file's name does: they are joints of one field."""
     alone = stream.fields.items()
-    if len(alone) < 2 or any(f.width > 1 or f.unit or set(english(n)) & set(SIGNALS) for n, f in alone):
+    if (
+        not stream.name
+        or len(alone) < 2
+        or any(f.width > 1 or f.unit or set(english(n)) & set(SIGNALS) for n, f in alone)
+    ):
         return stream
     values, names = np.concatenate([f.values for _, f in alone], axis=1), tuple(n for n, _ in alone)
     return replace(stream, fields={stream.name: Field(values, names, "", names)})
