@@ -90,7 +90,7 @@ def test_a_format_comes_from_a_package(install: Install, tmp_path: Path, capsys:
 
     install("realsim.formats", "corners = of_mine:corners", FORMAT)
     trimesh.creation.box((1, 1, 0.2)).export(tmp_path / "box.stl")
-    answer(capsys, "contact", tmp_path / "box.stl", "--out", tmp_path / "scene")
+    answer(capsys, "contact", tmp_path / "box.stl", "--contact-probes", "100", "--out", tmp_path / "scene")
     answer(capsys, "export", tmp_path / "scene", "--to", "corners", "--out", tmp_path / "out")
     assert int((tmp_path / "out" / "corners" / "corners.txt").read_text()) >= 8
 

@@ -201,5 +201,5 @@ def test_the_steps_of_an_open_wall_are_no_bays(tmp_path: Path) -> None:
     steps = [trimesh.creation.box(bounds=[(0.3 * k, 0, 0), (0.3 * k + 0.3, 1, 0.12 * k)]) for k in (1, 2, 3, 4)]
     steps[2].update_faces(steps[2].face_normals[:, 2] < 0.5)
     trimesh.util.concatenate(steps).export(tmp_path / "stairs.stl")
-    files = rs.contact(tmp_path / "stairs.stl", tmp_path / "contact")
+    files = rs.contact(tmp_path / "stairs.stl", tmp_path / "contact", replace(CONFIG, contact_probes=600))
     assert json.loads((files.folder / "contact.json").read_text())["phantom_over_gaps_cm2"] == 0

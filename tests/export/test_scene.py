@@ -121,19 +121,19 @@ def test_files_are_relative_and_there(written) -> None:
             assert (files.folder / name).is_file()
 
 
-def test_a_rerun_writes_the_same_bytes(tmp_path: Path) -> None:
-    aligned, mesh = two_platforms()
-    contents = []
-    for name in ("one", "two"):
-        (tmp_path / name).mkdir()
-        write_scene(tmp_path / name, aligned, mesh, SceneConfig(robot="g1", contact_probes=200))
-        contents.append({p.name: p.read_bytes() for p in sorted((tmp_path / name).iterdir())})
-    assert contents[0] == contents[1]
+@pytest.fixture(scope="module")
+def with_g1(tmp_path_factory: pytest.TempPathFactory):
+    return write_scene(tmp_path_factory.mktemp("g1"), *two_platforms(), SceneConfig(robot="g1", contact_probes=200))
 
 
-def test_g1_stands_on_the_start_platform(tmp_path: Path) -> None:
-    aligned, mesh = two_platforms()
-    files = write_scene(tmp_path, aligned, mesh, SceneConfig(robot="g1", contact_probes=200))
+def test_a_rerun_writes_the_same_bytes(with_g1, tmp_path: Path) -> None:
+    write_scene(tmp_path, *two_platforms(), SceneConfig(robot="g1", contact_probes=200))
+    one, two = ({p.name: p.read_bytes() for p in sorted(f.iterdir())} for f in (with_g1.folder, tmp_path))
+    assert one == two
+
+
+def test_g1_stands_on_the_start_platform(with_g1) -> None:
+    files = with_g1
     assert files.checks["robot_moved_m"] < 0.05
     model = mujoco.MjModel.from_xml_path(str(files.scene_xml))
     data = mujoco.MjData(model)
@@ -197,7 +197,7 @@ def test_a_full_disk_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
     monkeypatch.setattr(os, "fdopen", fdopen)
     with pytest.raises(RealsimError, match="free some space"), output_folder(tmp_path / "scene") as folder:
-        write_scene(folder, aligned, mesh, SceneConfig(contact_probes=200))
+        write_scene(folder, aligned, mesh, SceneConfig(contact="hull", contact_probes=100))
     assert list(tmp_path.iterdir()) == []
 
 

@@ -17,7 +17,7 @@ def test_page_says_what_the_measure_found(tmp_path: Path) -> None:
     mesh = trimesh.util.concatenate([floor, step])
     mesh.visual = trimesh.visual.ColorVisuals(vertex_colors=np.full((len(mesh.vertices), 4), 200, np.uint8))
     mesh.export(tmp_path / "step <&>.ply")
-    scene = rs.contact(tmp_path / "step <&>.ply", tmp_path / "out")
+    scene = rs.contact(tmp_path / "step <&>.ply", tmp_path / "out", rs.SceneConfig(contact_probes=200))
     page = (tmp_path / "out" / "report.html").read_text()
     text = read(page)
     assert "step <&>.ply" in text

@@ -39,7 +39,7 @@ def test_viewer_shows_a_scene_of_a_mesh(tmp_path: Path) -> None:
     """`realsim contact` writes no report.json: there are no cameras and no platforms to show."""
     pytest.importorskip("viser")
     trimesh.creation.box((1.0, 0.6, 0.2)).export(tmp_path / "box.stl")
-    rs.contact(tmp_path / "box.stl", tmp_path / "out")
+    rs.contact(tmp_path / "box.stl", tmp_path / "out", rs.SceneConfig(contact_probes=100))
     server = view(tmp_path / "out", 18432, wait=False)
     server.stop()
 

@@ -4,6 +4,7 @@ graph that says something else than torch is not delivered. The published weight
 from __future__ import annotations
 
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,8 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="exporters run where torch is installed")
 pytest.importorskip("onnx", reason="exporters write metadata with onnx")
-pytest.importorskip("onnxscript", reason="torch's newer exporter needs onnxscript")
+if find_spec("onnxscript") is None:  # its import takes a second
+    pytest.skip("torch's newer exporter needs onnxscript", allow_module_level=True)
 from torch import nn  # noqa: E402
 
 from realsim.feedforward.onnx.inspect import inspect_model  # noqa: E402
