@@ -37,7 +37,7 @@ from realsim.core.errors import RealsimError
 from realsim.core.files import to_json, write_text
 from realsim.gap import DiagnoseConfig, diagnose, load_case
 from realsim.gap.config import ExciteConfig
-from realsim.gap.experiments.choose import random_experiment
+from realsim.gap.experiments.choose import look
 from realsim.gap.experiments.excitations import EXCITATIONS
 from realsim.gap.experiments.plan import Experiment, Planned
 from realsim.gap.experiments.proposal import bench_of
@@ -208,7 +208,10 @@ def one_case(seed: int, index: int) -> dict[str, Any]:
             asked = found["next_experiment"]
             name, best = asked["excitation"], asked["looked_at"][0]
             experiment = EXCITATIONS[name](bench.rig, best["size"]) if name else None
-            other = random_experiment(bench, rivals, seed * 1000 + index)
+            # At random, at its largest size within the limits: what one would record unasked.
+            order = np.random.default_rng(seed * 1000 + index).permutation(list(EXCITATIONS))
+            looked = (look(bench, rivals, [str(name)], finalists=0)[0].predicted for name in order)
+            other = next((p.experiment for p in looked if p is not None), None)
         row["asked"] = {
             "excitation": name,
             "posterior": asked["expected_posterior"],

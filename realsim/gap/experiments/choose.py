@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from realsim.core.errors import GapError
 from realsim.core.types import F64
 from realsim.gap.experiments.excitations import EXCITATIONS
@@ -20,7 +18,7 @@ FINALISTS = 3
 """Excitations whose everyday deviations are simulated: they cost more than all the rest."""
 ENOUGH = 16.0
 """Least separation of any two rivals from which on an experiment counts as decisive: a log Bayes factor of 8 is to be
-expected, what the engine demands of a cause (`DiagnoseConfig.min_gain`)."""
+expected. Not tuned."""
 
 WORTH_IT = 1.2
 """Times the even odds that the true rival's expected posterior must reach for an experiment to be asked for."""
@@ -120,13 +118,3 @@ def _largest(bench: Bench, rivals: Sequence[Rival], name: str) -> Looked:
             continue
         return Looked(name, title, size, "", predicted, separations(predicted, rivals))
     return Looked(name, title, 0.0, said)
-
-
-def random_experiment(bench: Bench, rivals: Sequence[Rival], seed: int) -> Experiment | None:
-    """An excitation of the library at random, at its largest size within the limits: what one would record unasked."""
-    order = np.random.default_rng(seed).permutation(list(EXCITATIONS))
-    for name in order:
-        found = _largest(bench, rivals, str(name))
-        if found.predicted is not None:
-            return found.predicted.experiment
-    return None

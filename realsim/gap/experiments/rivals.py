@@ -106,14 +106,14 @@ def rivals_from(said: Sequence[Mapping[str, Any]], context: Context) -> tuple[Ri
 def _check(rival: Rival, context: Context) -> None:
     """Refuse places and parameters that the case's model does not have."""
     model = context.case.model
-    known = set(context.case.joint_names) | {model.body(i).name for i in range(model.nbody)}
+    known = {*context.case.joint_names, *context.case.actuator_names, *(model.body(i).name for i in range(model.nbody))}
     for part in rival.parts:
         EFFECTS[part.effect]
         missing = [name for place in part.places for name in place if name not in known]
         if missing:
             raise GapError(
                 "the diagnosis is of another robot",
-                expected="joints and bodies of model.xml",
+                expected="joints, bodies and actuators of model.xml",
                 found=missing[0],
                 hint="give the case that was diagnosed (--case)",
             )

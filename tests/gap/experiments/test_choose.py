@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from realsim.core.errors import GapError, UnknownNameError
 from realsim.gap import load_case
-from realsim.gap.experiments.choose import look, random_experiment
+from realsim.gap.experiments.choose import look
 from realsim.gap.experiments.excitations import EXCITATIONS
 from realsim.gap.experiments.limits import Limits, limits_of
 from realsim.gap.experiments.proposal import described, with_text
@@ -87,7 +87,6 @@ def test_what_leaves_the_limits_at_every_size_is_refused(bench: Bench, made_riva
     assert "speed" in one.refused
     assert one.predicted is None
     assert described([one], rivals)["excitation"] is None
-    assert random_experiment(held, rivals, 0) is None
 
 
 def test_a_limit_that_only_a_rival_leaves_counts(bench: Bench, made_rival) -> None:
