@@ -79,7 +79,8 @@ class Fitter(GaussNewton):
     def beside_own(self, fit: Fit) -> Fit:
         """The same causes beside the everyday deviations that are most probable beside them, by simulation: slopes lead
         there in a few steps, each halved where the simulation itself does not come nearer; none is tried that slopes
-        themselves give too little for."""
+        themselves give too little for, but where feet slip and land, of which they tell little."""
+        touches = self.screen.simulator.context.touches
         whole = [atom.parameter.whole for atom in self.screen.atoms]
         with self.beside_those_of(fit):
             nearer: Fit | None = fit
@@ -87,7 +88,7 @@ class Fitter(GaussNewton):
                 fit, nearer = nearer, None
                 x = self.screen.possible(fit.evidence.centre + deviations(self.screen, fit))
                 least = self._cost(fit) - 2 * figures.CLEARLY
-                for share in figures.PARTS if self._cost(fit, x - fit.about) < least else ():
+                for share in figures.PARTS if touches or self._cost(fit, x - fit.about) < least else ():
                     self.about = np.where(whole, fit.about, fit.about + share * (x - fit.about))
                     moved = self.looked_at(fit, fit.causes)
                     if moved is not None and self._cost(moved) < least:
