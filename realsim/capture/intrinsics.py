@@ -233,9 +233,18 @@ def camera_from_text(text: str, source: Path) -> Camera:
     raise _no_camera(source, f"{len(values)} numbers")
 
 
+CAMERA_TEXT = {
+    ".txt": "one line `fx fy cx cy width height`",
+    ".json": '`{"fx": ..., "fy": ..., "cx": ..., "cy": ..., "width": ..., "height": ...}`',
+    ".csv": "the 3x3 camera matrix, a row a line",
+}
+"""How a camera is written into a file of each kind."""
+
+
 def no_intrinsics(folder: Path, looked_for: Sequence[str], hint: str | None = None) -> CaptureError:
-    """The error for a capture without intrinsics, with the way out."""
-    way_out = hint or "write the camera as one line `fx fy cx cy width height` into intrinsics.txt in this folder"
+    """The error for a capture without intrinsics; the way out is `hint`, or what to write into which file."""
+    name = next((n for n in looked_for if n.endswith(".txt")), looked_for[0])
+    way_out = hint or f"write the camera into {name} in this folder: {CAMERA_TEXT[Path(name).suffix]}"
     return CaptureError("no intrinsics", file=folder, expected=f"one of {', '.join(looked_for)}", hint=way_out)
 
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
+from realsim.capture.config import CaptureConfig
 from realsim.capture.layout import Layout, Recognition
-from realsim.core.errors import CaptureError
+from realsim.core.errors import CaptureError, RealsimError
 
 MAX_SUBFOLDERS = 200
 NO_DEPTH = (
@@ -61,6 +62,8 @@ def _not_recognised(path: Path, seen: Mapping[str, Recognition], layouts: Mappin
         missing = partial[nearest].missing
         no_depth = any(m.startswith("depth") for m in missing)
         headline = "colour without depth" if no_depth else "no " + missing[0].split(" (")[0]
+        # Where intrinsics are missing, another layout would miss them too: the reader itself says what to write.
+        camera = _hint_of_reader(layouts[nearest], path) if missing[0].startswith("intrinsics") else None
         others = [f"{known} would need {', '.join(r.missing)}" for known, r in partial.items() if known != nearest]
         last_resort = [f"--layout {known} reads {', '.join(r.evidence)}" for known, r in seen.items() if r.complete]
         return CaptureError(
@@ -68,7 +71,7 @@ def _not_recognised(path: Path, seen: Mapping[str, Recognition], layouts: Mappin
             file=path,
             expected=", ".join(missing),
             found=", ".join(partial[nearest].evidence),
-            hint="; ".join(others) or " or ".join(last_resort) or None,
+            hint=camera or "; ".join(others) or " or ".join(last_resort) or None,
         )
     return CaptureError(
         "no capture layout was recognised",
@@ -77,6 +80,15 @@ def _not_recognised(path: Path, seen: Mapping[str, Recognition], layouts: Mappin
         found=_what_is_there(path),
         hint=_subfolder_hint(path, layouts) or NO_DEPTH,
     )
+
+
+def _hint_of_reader(layout: Layout, path: Path) -> str | None:
+    """What a layout itself says to do about an incomplete capture."""
+    try:
+        layout.read(path, CaptureConfig())
+    except RealsimError as error:
+        return error.hint
+    return None
 
 
 def _what_is_there(path: Path) -> str:

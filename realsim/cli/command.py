@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from importlib import import_module
 from typing import Any
+
+from realsim.core.errors import explain_missing_packages
+from realsim.core.registry import installed, load_entry
 
 GROUPS = ("Scenes", "Robots and their logs", "Policies", "Machines", "To try")
 """Titles of the help, in its order; commands of packages may add further ones."""
@@ -56,7 +58,13 @@ class Command:
         return self.function.partition(":")[0].partition(".")[0]
 
     def load(self) -> Callable[..., Any]:
-        """The function, imported now."""
-        module, _, name = self.function.partition(":")
-        found: Callable[..., Any] = getattr(import_module(module), name)
-        return found
+        """The function, imported now.
+
+        Raises:
+            RealsimError: the package that adds it is broken, or lacks a part of the installation.
+        """
+        if self.package == "realsim":
+            return load_entry(self.function)
+        what = f"the command {self.function}"
+        with installed("command", self.function, self.function, "realsim.commands"), explain_missing_packages(what):
+            return load_entry(self.function)

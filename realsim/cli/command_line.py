@@ -12,7 +12,7 @@ from typing import Any, TextIO
 
 from realsim import __version__
 from realsim.cli import schemas
-from realsim.cli.commands import set_arguments
+from realsim.cli.commands import CommandResult, set_arguments
 from realsim.cli.help import help_of, usage
 from realsim.cli.options import UsageError, parse
 from realsim.cli.saved import defaults_of
@@ -81,7 +81,7 @@ def _answered(arguments: list[str], as_json: bool) -> tuple[str, int]:
     return result.rendered(color=sys.stdout.isatty()) + "\n", result.exit_code
 
 
-def _run(name: str, arguments: list[str]) -> Any:
+def _run(name: str, arguments: list[str]) -> CommandResult:
     """Result of a command."""
     command = find(name)
     with explain_missing_packages(f"realsim {name}"):
@@ -93,7 +93,14 @@ def _run(name: str, arguments: list[str]) -> Any:
         check_mujoco()
         if command.extra:
             require(command.extra, f"realsim {name}")
-        return explain_inputs(function, TAKES | dict(command.takes))(*call.args, **call.keywords)
+        result = explain_inputs(function, TAKES | dict(command.takes))(*call.args, **call.keywords)
+    if not isinstance(result, CommandResult):
+        raise RealsimError(
+            f"the command {name!r} of an installed package gave no result",
+            expected="a CommandResult of realsim.cli.commands",
+            found=type(result).__name__,
+        )
+    return result
 
 
 def answer(command: str, data: Mapping[str, Any]) -> dict[str, Any]:

@@ -117,12 +117,20 @@ def _declared(name: str, function: str) -> Command:
     command = _declarations(function).get(name)
     if command is not None:
         return replace(command, function=function)
-    return Command(function, "", f"realsim {name} --help", function.partition(".")[0].partition(":")[0])
+    return Command(
+        function,
+        f"of the package {_package(function)}",
+        f"realsim {name} --help",
+        function.partition(".")[0].partition(":")[0],
+    )
 
 
 @cache
 def _declarations(function: str) -> Mapping[str, Command]:
-    found: Mapping[str, Command] = getattr(import_module(_package(function)), "COMMANDS", {})
+    try:
+        found: Mapping[str, Command] = getattr(import_module(_package(function)), "COMMANDS", {})
+    except Exception:  # whatever another package raises: its command says so when it is called, the others go on
+        return {}
     return found
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from functools import cached_property
 from importlib import import_module
 from importlib.metadata import entry_points
@@ -50,18 +51,11 @@ class Registry(Mapping[str, Any]):
                 otherwise = f"install the package that adds it (entry point of the group {self.group})"
             raise UnknownNameError(self.kind, name, self._entries, otherwise=otherwise or "give one of these names")
         if name in self.own:
-            return _load(self.own[name])
-        try:
-            found = _load(self._entries[name])
-            if self.of and not isinstance(found, _load(self.of)):
+            return load_entry(self.own[name])
+        with installed(self.kind, name, self._entries[name], self.group):
+            found = load_entry(self._entries[name])
+            if self.of and not isinstance(found, load_entry(self.of)):
                 raise TypeError(f"{repr(found)[:80]} is no {self.of}")
-        except (ImportError, AttributeError, TypeError) as error:
-            raise RealsimError(
-                f"the {self.kind} {name!r} of an installed package cannot be loaded",
-                expected=f"{self._entries[name]} (entry point of the group {self.group})",
-                found=str(error),
-                hint="mend that package and install it again, or uninstall it",
-            ) from error
         return found
 
     def joined(self, more: Mapping[str, str]) -> Registry:
@@ -78,7 +72,24 @@ class Registry(Mapping[str, Any]):
         return len(self._entries)
 
 
-def _load(place: str) -> Any:
+@contextmanager
+def installed(kind: str, name: str, place: str, group: str) -> Iterator[None]:
+    """Whatever goes wrong while an entry point of somebody else's package is imported, as a message that names it."""
+    try:
+        yield
+    except RealsimError:
+        raise
+    except Exception as error:
+        raise RealsimError(
+            f"the {kind} {name!r} of an installed package cannot be loaded",
+            expected=f"{place} (entry point of the group {group})",
+            found=f"{type(error).__name__}: {error}",
+            hint="mend that package and install it again, or uninstall it",
+        ) from error
+
+
+def load_entry(place: str) -> Any:
+    """What "module:attribute" names."""
     module, _, attribute = place.partition(":")
     return getattr(import_module(module), attribute)
 

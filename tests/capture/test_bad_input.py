@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
+import re
 import shutil
 import threading
 from dataclasses import replace
@@ -59,9 +61,15 @@ def test_no_intrinsics(tmp_path):
         for pattern in ("*intrinsic*", "calibration.txt"):
             for path in folder.glob(pattern):
                 path.unlink()
-        for config in (CONFIG, CaptureConfig(layout=name)):
-            with pytest.raises(CaptureError, match="no intrinsics"):
+        for config in (CaptureConfig(layout=name), CONFIG):
+            with pytest.raises(CaptureError, match="no intrinsics") as caught:
                 read(folder, config)
+        named = re.search(r"into (\S+\.(?:txt|json))", caught.value.hint or "")
+        if named:  # what the hint says to write is what the layout reads
+            camera = {"fx": 88, "fy": 87, "cx": 46.5, "cy": 37, "width": 96, "height": 72}
+            text = json.dumps(camera) if named[1].endswith("json") else " ".join(map(str, camera.values()))
+            (folder / named[1]).write_text(text)
+            assert read(folder, CONFIG).layout == name
 
 
 @pytest.mark.parametrize(

@@ -234,7 +234,7 @@ def test_inputs_as_a_shell_completes_them_are_no_options() -> None:
 def test_packages_add_commands(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A lone module as well as a module of a package, and a function without a declaration."""
+    """A lone module as well as a module of a package, a function without a declaration, and ones that are broken."""
     declared = 'COMMANDS = {"NAME": Command("", "what NAME does", "realsim NAME", "Of my own")}'
     source = f"""
 from realsim.cli.command import Command
@@ -254,12 +254,23 @@ def run(times: int = 2) -> CommandResult:
     (tmp_path / "pack" / "inner.py").write_text(source.replace("NAME", "packed"))
     (tmp_path / "pack" / "newer.py").write_text(source.replace("NAME", "newer").replace("run(", "newer("))
     monkeypatch.syspath_prepend(str(tmp_path))
-    named = {"alone": "lone:run", "packed": "pack.inner:run", "bare": "lone:run"}
+    (tmp_path / "damaged.py").write_text("1 / 0")
+    (tmp_path / "odd.py").write_text("def run() -> dict:\n    return {}\n")
+    named = {
+        "alone": "lone:run",
+        "packed": "pack.inner:run",
+        "bare": "lone:run",
+        "broken": "damaged:run",
+        "odd": "odd:run",
+    }
     points = [EntryPoint(name, value, "realsim.commands") for name, value in named.items()]
     monkeypatch.setattr("realsim.cli.table.entry_points", lambda group: points)
     assert main(["--help"]) == 0
     said = capsys.readouterr().out
     assert "Of my own" in said
+    for name, text in (("broken", "ZeroDivisionError"), ("odd", "CommandResult")):
+        assert main([name]) == 2
+        assert text in capsys.readouterr().err
     assert main(["bare"]) == 0
     assert capsys.readouterr().out.split() == ["alone"] * 2
     assert "since the installation" in said  # entry points of an installation older than its checkout
