@@ -52,7 +52,9 @@ def read_contract(path: Path, meta: Mapping[str, str], deploy: Path | None, join
     raise GapError(
         "the policy does not describe its observations", file=path,
         expected="metadata of realsim or mjlab, or --deploy-yaml", found=", ".join(meta)[:200] or "no metadata",
-        hint="unitree_rl_lab writes params/deploy.yaml beside the export, Isaac Lab params/IO_descriptors.yaml",
+        hint="unitree_rl_lab writes params/deploy.yaml beside the export, Isaac Lab params/IO_descriptors.yaml; "
+        "of another trainer, add mjlab's metadata: joint_names, observation_names, default_joint_pos, action_scale, "
+        "joint_stiffness, joint_damping, each a list by commas (docs/diagnose.md)",
     )  # fmt: skip
 
 
