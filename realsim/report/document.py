@@ -248,7 +248,7 @@ def _run_card(result: Reconstruction, made: Made) -> str:
 _FILES = {
     "scene.xml": "the MuJoCo model: open this",
     "robot.xml": "the robot, included by scene.xml",
-    "mesh.ply": "the measured surface",
+    "mesh.ply": "the surface as triangles",
     "mesh.glb": "the same for viewers and Blender",
     "report.json": "all figures of this page",
     "contact.json": "all figures of this page",
