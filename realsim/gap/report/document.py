@@ -78,10 +78,10 @@ def _title(found: Diagnosis) -> tuple[str, str]:
 
 
 def _banner(found: Diagnosis) -> str:
-    """The verdict in a word and a line; then cause, size, and where or why, and what to do."""
+    """The verdict in a word and a line; then cause, error, and where or why, and what to do."""
     said = SAID[GapVerdict(found.verdict)]
     parts = brief(found.as_dict())
-    named = {"cause": "Cause", "size": "Size", "evidence": "Why" if found.verdict == "no_gap" else "Where"}
+    named = {"cause": "Cause", "size": "Error", "evidence": "Why" if found.verdict == "no_gap" else "Where"}
     cells = [f"<div><h4>{name}</h4>{_rows(parts[key])}</div>" for key, name in named.items() if parts[key]]
     todo = f"<p><b>Next:</b> {page.esc(found.advice)}.</p>" if found.advice else ""
     return (
