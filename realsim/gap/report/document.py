@@ -93,7 +93,7 @@ def _banner(found: Diagnosis) -> str:
 
 def _rows(rows: list[Row]) -> str:
     """One line a row; of labels only those are kept that change what a row says."""
-    kept = {"or": "or: ", "rest": "what stays is "}
+    kept = {"or": "or: ", "rest": "the rest looks "}
     return "".join(f"<div>{kept.get(label, '')}{page.esc(text or NOTHING_SAID)}</div>" for label, text in rows)
 
 
