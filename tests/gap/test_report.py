@@ -51,7 +51,7 @@ def test_page_says_what_was_found(found: Diagnosis, tmp_path: Path) -> None:
 
 def test_what_stays_is_no_evidence_for_the_cause(found: Diagnosis) -> None:
     looks = ({"joint": "elbow", "what": "damping-like", "explains": 0.5},)
-    assert "what stays is damping-like at elbow" in read(diagnosis_page(replace(found, looks_like=looks)))
+    assert "the rest looks damping-like at elbow" in read(diagnosis_page(replace(found, looks_like=looks)))
 
 
 def test_same_diagnosis_same_bytes(found: Diagnosis) -> None:
