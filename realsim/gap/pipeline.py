@@ -79,13 +79,11 @@ def diagnose(
         free_starts(simulator, comparison)
         for name, at in comparison.parted.items():
             health["warnings"].append(f"{name}: robot and simulator diverge at {at:.1f} s; the rest is left out")
-        simulator.onsets = find_onsets(comparison, nominal, fitted)
         tick("sensitivities", 0.0)
         screen = Screen(simulator, comparison, fitted, config.effects, tick)
-        fitter = Fitter(screen)
-        selection = select(screen, fitter, config, tick)
+        selection = select(Fitter.of(screen, find_onsets(comparison, nominal, fitted)), config, tick)
         tick("unseen runs", 0.9)
-        concluded = conclude(config, screen, fitter, selection, held, nominal)
+        concluded = conclude(config, selection, held, nominal)
         found = _assemble(config, screen, selection, concluded, nominal, health)
         cost = {
             "seconds": round(time.perf_counter() - began, 2),
@@ -95,7 +93,7 @@ def diagnose(
         statistics = found.statistics | {
             **cost,
             "logged_seconds": round(sum(r.duration for r in case.runs), 2),
-            "fits": fitter.evaluations,
+            "fits": selection.fitter.evaluations,
             **(look(screen, selection) if look else {}),
         }
         tick("next experiment", 0.98)
@@ -210,10 +208,10 @@ def _assemble(
     # What is at an end of its range only imitates something: what is not goes before it.
     order = sorted(range(len(fit.causes)), key=lambda i: (bool(at_an_end(fit.causes[i])), -gains.get(i, 0.0)))
     gap = judgement.verdict is not GapVerdict.NO_GAP
-    causes = describe_set(simulator, fit, order, concluded.sigmas) if gap else []
-    equivalent = [tuple(describe_set(simulator, other)) for other in (concluded.equivalent if causes else ())]
+    causes = describe_set(fit, order, concluded.sigmas) if gap else []
+    equivalent = [tuple(describe_set(other)) for other in (concluded.equivalent if causes else ())]
     looks_like = what_stays(simulator, comparison, fit, runs) if gap else []
-    lead = describe_set(simulator, concluded.lead)[0] if concluded.lead else None
+    lead = describe_set(concluded.lead)[0] if concluded.lead else None
     health["warnings"] += concluded.warnings
     of_check = [i for i, run in enumerate(case.runs) if run.name in checked.runs]
     arrays = collect(simulator, comparison, residuals, shares, of_check, fit)

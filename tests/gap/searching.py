@@ -29,7 +29,7 @@ def fitting(
     """A fitter of these effects (all of them if none are given) to some runs of a case, or to all."""
     with Simulator(case, config) as simulator:
         comparison = Comparison(case, simulator.channels, simulator.simulate(), config, runs)
-        yield Fitter(Screen(simulator, comparison, range(len(case.runs)) if runs is None else runs, effects))
+        yield Fitter.of(Screen(simulator, comparison, range(len(case.runs)) if runs is None else runs, effects))
 
 
 def logged(case: Case, settings: Sequence[Setting], seed: int = 0) -> Case:

@@ -29,7 +29,7 @@ PAIR = ("stiffness_gain", "armature", "damping_gain", "motor_gain")
 
 def searched(case: Case, runs: list[int], effects: tuple[str, ...] = ()) -> Selection:
     with fitting(case, effects, runs) as fitter:
-        return select(fitter.screen, fitter, CONFIG)
+        return select(fitter, CONFIG)
 
 
 def found(selection: Selection) -> list[set[str]]:
@@ -137,16 +137,14 @@ def test_a_run_is_left_out_with_values_that_are_fitted_to_the_others(fitter: Fit
     assert fitter.left_out(all_runs)[0] == pytest.approx(direct, rel=0.1)
 
 
-def test_a_run_is_left_out_beside_the_deviations_of_its_fit(fitter: Fitter, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_is_left_out_beside_the_deviations_of_its_fit(fitter: Fitter) -> None:
     """A fit stays what it was where the search has since moved the deviations that it simulates."""
     soft = fit(fitter, stiffness_gain=-0.3)
     before = fitter.left_out(soft)
-    moved = fitter.about.copy()
-    moved[next(i for i, a in enumerate(fitter.screen.atoms) if a.effect == "link_inertia")] = 0.1
-    monkeypatch.setattr(fitter, "about", moved)
-    assert fitter.left_out(soft) == pytest.approx(before)
-    assert fitter.remeasure(soft).misfit == pytest.approx(soft.misfit)
-    assert fitter.about is moved
+    about = [0.1 * (a.effect == "link_inertia") for a in fitter.screen.atoms]
+    moved = fitter.under(about=np.array(about))
+    assert moved.left_out(soft) == pytest.approx(before)
+    assert moved.remeasure(soft).misfit == pytest.approx(soft.misfit)
 
 
 def within_bounds(fit: Fit) -> np.ndarray:
@@ -183,7 +181,7 @@ def test_a_cause_in_the_place_of_another_one_is_ranked_by_what_it_gains_itself(f
     poor = Trial(better.candidate, 0, 9.0, "does not hold", -5.0, held=(-1.0, 1.0))
     search.trials = [poor, Trial(first.candidate, 0, 1.0, "accepted", nothing.misfit - soft.misfit, held=(9.0, 1.0))]
     assert search._better(soft, [rotor])
-    ranking = ranked_effects(Selection(rotor, nothing, search.trials, [], {}, []), fitter.screen)
+    ranking = ranked_effects(Selection(rotor, nothing, search.trials, [], {}, [], fitter), fitter.screen)
     row = next(r for r in ranking if r["effect"] == "armature")
     assert (row["outcome"], row["linear_gain"]) == ("accepted", 9.0)
     assert row["gain"] == pytest.approx(nothing.misfit - rotor.misfit)
@@ -197,12 +195,12 @@ def test_the_score_prefers_fewer_causes_fewer_places_and_usual_effects(fitter: F
     link = fitter.looked_at(rotor, [Cause(other, (0.1,))])
     assert link is not None
     known = np.zeros((1, 1))
-    rare = score(screen, replace(link, misfit=rotor.misfit, covariance=known))
-    assert rare == pytest.approx(score(screen, replace(rotor, covariance=known)) + PRICE)
+    rare = score(fitter, replace(link, misfit=rotor.misfit, covariance=known))
+    assert rare == pytest.approx(score(fitter, replace(rotor, covariance=known)) + PRICE)
     both = fit(fitter, stiffness_gain=-0.3, armature=0.05)
     less = fit(fitter, stiffness_gain=-0.3)
-    assert score(screen, replace(less, misfit=both.misfit)) < score(screen, both) - CLEARLY
-    assert score(screen, both) < score(screen, less)
+    assert score(fitter, replace(less, misfit=both.misfit)) < score(fitter, both) - CLEARLY
+    assert score(fitter, both) < score(fitter, less)
 
 
 def test_a_further_cause_needs_runs_that_are_left_out(fitter: Fitter, monkeypatch: pytest.MonkeyPatch) -> None:

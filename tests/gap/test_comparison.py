@@ -21,8 +21,8 @@ def test_white_noise_counts_sample_by_sample(made: Callable[..., Path]) -> None:
     with Simulator(case, DiagnoseConfig(threads=1)) as simulator:
         still = [np.zeros((len(r.time), len(simulator.channels))) for r in case.runs]
         comparison = Comparison(case, simulator.channels, still, DiagnoseConfig(threads=1))
-        comparison.set_detail([np.zeros(len(simulator.channels))] * len(case.runs))
-        found = sum(float((w * comparison.noise.sensor**2).sum()) for w in comparison.weights)
+        weights = comparison.weights([np.zeros(len(simulator.channels))] * len(case.runs))
+        found = sum(float((w * comparison.noise.sensor**2).sum()) for w in weights.of)
     samples = sum(np.isfinite(measured(run, simulator.channels)).sum() for run in case.runs)
     assert found == pytest.approx(samples)
 

@@ -117,7 +117,7 @@ def test_a_model_that_stays_wrong_widens_its_intervals(arm: Case, sticky: Case) 
             nominal = simulator.simulate()
             comparison = Comparison(case, simulator.channels, nominal, CONFIG, [0, 1, 2])
             comparison.noise = replace(comparison.noise, sensor=np.full_like(comparison.noise.sensor, 1e-3))
-            its = Fitter(Screen(simulator, comparison, [0, 1, 2], EFFECTS))
+            its = Fitter.of(Screen(simulator, comparison, [0, 1, 2], EFFECTS))
             fit = its.fit([cause(its, "coulomb_friction", 3.0)])
             assert fit is not None
             sigmas.append(float(leave_out(its.screen, its, fit).sigmas[0]))
@@ -125,7 +125,7 @@ def test_a_model_that_stays_wrong_widens_its_intervals(arm: Case, sticky: Case) 
 
 
 def chosen(fitter: Fitter, fit: Fit) -> Selection:
-    return Selection(fit, fitter.nominal(), [], [], {}, [])
+    return Selection(fit, fitter.nominal(), [], [], {}, [], fitter)
 
 
 def test_a_cause_that_left_out_runs_do_not_need_is_taken_out(fitter: Fitter) -> None:
@@ -202,7 +202,10 @@ def test_what_stays_is_judged_with_one_set_of_deviations_for_all_runs(
     """Deviations that explain the first run, and a half of the others."""
     screen, fit = fitter.screen, fitter.nominal()
     gap = [screen.comparison.residual(run, y) for run, y in zip(screen.runs, fit.predictions, strict=True)]
-    simulated = [np.nanmean(r**2 / screen.comparison.tolerance(run)) for run, r in zip(screen.runs, gap, strict=True)]
+    simulated = [
+        np.nanmean(r**2 / screen.comparison.tolerance(run, fit.conditions.weights))
+        for run, r in zip(screen.runs, gap, strict=True)
+    ]
     monkeypatch.setattr(screen, "fitted", lambda k, x: gap[k] * (1.0 if k == 0 else 0.5))
     assert leftover(screen, fit) == pytest.approx([0.0, *(s / 4 for s in simulated[1:])])
 
@@ -224,5 +227,5 @@ def test_noise_asks_nothing_of_a_further_cause(fitter: Fitter) -> None:
     part = fitter.looked_at(nothing, [cause(fitter, "coulomb_friction", 0.3)])
     assert whole is not None
     assert part is not None
-    assert asked(fitter.screen, whole) == asked(fitter.screen, nothing) == figures.CLEARLY
-    assert asked(fitter.screen, part) > max(figures.CLEARLY, 0.8 * figures.SHARE * part.misfit)
+    assert asked(fitter, whole) == asked(fitter, nothing) == figures.CLEARLY
+    assert asked(fitter, part) > max(figures.CLEARLY, 0.8 * figures.SHARE * part.misfit)

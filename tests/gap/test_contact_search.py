@@ -35,9 +35,8 @@ def test_causes_and_deviations_are_settled_together_and_nothing_else_moves(settl
     cause = ("coulomb_friction", ("fl_calf",), {"friction": 1.0})
     case = logged(settled, [cause, *weaker])
     with fitting(case, ("coulomb_friction", "motor_gain")) as fitter:
-        before, about = at(fitter, "coulomb_friction", "fl_calf", 0.8), fitter.about.copy()
+        before = at(fitter, "coulomb_friction", "fl_calf", 0.8)
         after = fitter.settled(before)
-        assert np.array_equal(fitter.about, about)
         assert after.about.any()
         assert after.misfit < before.misfit
         assert 0.8 < after.causes[0].values[0] < 1.1
@@ -63,10 +62,9 @@ def test_a_set_may_have_the_deviations_that_its_neighbours_found(settled: Case, 
     with fitting(case, ("coulomb_friction", "motor_gain")) as fitter:
         nothing, idle = fitter.nominal(), at(fitter, "coulomb_friction", "fl_calf", 0.0)
         lucky = fitter.beside_own(idle)
-        monkeypatch.setattr(fitter, "settled", lambda fit: lucky if fit.causes else fit)
-        fitter.screen.gap = False
+        monkeypatch.setattr(Fitter, "settled", lambda self, fit: lucky if fit.causes else fit)
         here, (found,) = second_look(fitter, nothing, [idle])
-        assert fitter.screen.gap == is_gap(leftover(fitter.screen, here))
+        assert here.conditions.gap == is_gap(leftover(fitter.screen, here))
         assert found.misfit < fitter.remeasure(nothing).misfit
         assert here.misfit <= found.misfit + 1e-6
         assert not here.causes
@@ -94,7 +92,7 @@ def test_beside_causes_that_leave_no_gap_nothing_is_simulated_on_a_guess(settled
     with fitting(logged(settled, [higher]), ("terrain_height", "ground_friction")) as fitter:
         for height, proposed in ((0.015, False), (-0.01, True)):
             there = fitter.reweighted(at(fitter, "terrain_height", "block_2", height))
-            assert any(by_simulation(fitter, there)) == proposed
+            assert any(by_simulation(fitter.under_those_of(there), there)) == proposed
 
 
 def test_a_height_is_found_short_of_one_at_which_the_foot_meets_other_ground(settled: Case) -> None:
@@ -131,5 +129,5 @@ def test_whether_there_is_a_gap_is_judged_beside_simulated_deviations(
     with fitting(case, ("coulomb_friction",)) as fitter:
         search = Search(fitter, 3, fitter.nominal())
         search.run(lambda *_: None)
-        assert fitter.screen.gap is gap
+        assert search.fitter.conditions.gap is gap
     assert not search.best.causes

@@ -57,7 +57,7 @@ def test_two_cores_find_what_one_does(made) -> None:
             cause = next(c for c in screen.candidates if (c.effect, c.place) == ("motor_gain", ("elbow",)))
             fit = fitter.fit([Cause(cause, (-0.05,))], starts=[[-0.3], [0.1]])
             assert fit is not None
-            screen.relinearise(fit.settings())
+            screen.relinearise(fit.settings(), fit.conditions)
             columns = [screen.columns(k, range(len(screen.atoms))) for k in range(len(case.runs))]
             found.append((fit.causes[0].values, fit.misfit, columns))
     assert found[0][:2] == found[1][:2]

@@ -57,12 +57,11 @@ def test_a_law_that_holds_another_one_is_said_after_it_and_only_where_its_score_
         assert not _richer(other, replace(nominal, causes=(by_effect["armature"],)))
         assert not _richer(plain, plain)
 
-        screen = fitter.screen
         plain, rich = (replace(f, covariance=np.zeros((len(values_of(f.causes)),) * 2)) for f in (plain, rich))
-        level = replace(rich, misfit=rich.misfit + score(screen, plain) - score(screen, rich))
+        level = replace(rich, misfit=rich.misfit + score(fitter, plain) - score(fitter, rich))
         worse, better = (replace(level, misfit=level.misfit + nats) for nats in (1.0, -1.0))
-        assert [f is plain for f in _in_order(screen, [worse, plain])] == [True]
-        assert [f is plain for f in _in_order(screen, [plain, better])] == [True, False]
+        assert [f is plain for f in _in_order(fitter, [worse, plain])] == [True]
+        assert [f is plain for f in _in_order(fitter, [plain, better])] == [True, False]
 
 
 def test_what_an_effect_is_taken_for_is_among_what_it_suggests(arm: Case) -> None:

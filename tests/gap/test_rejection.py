@@ -40,7 +40,7 @@ def perfect(case: Case, effects: Sequence[str] = ()) -> dict[str, float]:
         screen = fitter.screen
         nominal = fitter.nominal()
         assert not is_gap(leftover(screen, nominal))
-        assert not select(screen, fitter, CONFIG).fit.causes
+        assert not select(fitter, CONFIG).fit.causes
         return gains(screen, nominal)
 
 
@@ -117,8 +117,8 @@ def test_the_other_friction_cone_is_no_lower_friction(quadruped: Case) -> None:
     for setting, cone in logs:
         with fitting(logged(quadruped, [setting]), ("ground_friction",)) as fitter:
             screen = fitter.screen
-            fitter.with_likelier_solver(fitter.nominal())
-            assert fitter.about[screen.index["contact_solver", (), "cone"]] == cone
+            found = fitter.with_likelier_solver(fitter.nominal())
+            assert found.about[screen.index["contact_solver", (), "cone"]] == cone
 
 
 @pytest.mark.slow
@@ -131,8 +131,8 @@ def test_the_other_friction_cone_is_seen_beside_a_cause(quadruped: Case, cone: f
         cause = next(c for c in screen.candidates if c.place == ("fr_thigh",))
         fit = fitter.looked_at(fitter.nominal(), [Cause(cause, (-0.45,))])
         assert fit is not None
-        fitter.with_likelier_solver(fit)
-        assert fitter.about[screen.index["contact_solver", (), "cone"]] == cone
+        found = fitter.with_likelier_solver(fit)
+        assert found.about[screen.index["contact_solver", (), "cone"]] == cone
 
 
 def test_how_the_solver_treats_friction_is_a_nuisance(made: Callable[..., Path]) -> None:
@@ -141,7 +141,7 @@ def test_how_the_solver_treats_friction_is_a_nuisance(made: Callable[..., Path])
     case = load_case(made(Truth(), xml=xml, runs=2, span=(2.6, 3.0)))
     with fitting(logged(case, [("friction_solver", (), {"stick": 1.0})])) as fitter:
         screen = fitter.screen
-        assert not select(screen, fitter, CONFIG).fit.causes
+        assert not select(fitter, CONFIG).fit.causes
         explained = leftover(screen, fitter.nominal())
         screen.prior[screen.index["friction_solver", (), "stick"]] = 0.0
-        assert (explained < 0.5 * leftover(screen, Fitter(screen).nominal())).all()
+        assert (explained < 0.5 * leftover(screen, Fitter.of(screen).nominal())).all()

@@ -91,7 +91,7 @@ def test_a_rough_look_sees_a_set_as_it_is_and_how_its_neighbours_differ(fitter: 
     assert near is not None
     assert near.added
     assert fitter.misfit(here.causes, near) == pytest.approx(fitter.misfit(here.causes, exact))
-    assert fitter.misfit(here.causes, near) == pytest.approx(searched(fitter.screen, here))
+    assert fitter.misfit(here.causes, near) == pytest.approx(searched(fitter, here))
     there = (_cause(fitter, "motor_gain", -0.2),)
     gains = [fitter.misfit(here.causes, look) - fitter.misfit(there, look) for look in (near, exact)]
     assert gains[0] == pytest.approx(gains[1], rel=0.05)
@@ -103,8 +103,8 @@ def test_of_causes_that_do_the_same_the_one_at_fewer_places_comes_first(fitter: 
     assert single is not None
     group = next(c for c in fitter.screen.candidates if c.effect == "motor_gain" and len(c.places) > 1)
     shared = replace(single, causes=(Cause(group, single.causes[0].values),), misfit=single.misfit - 0.1)
-    assert score(fitter.screen, single) < score(fitter.screen, shared)
-    assert score(fitter.screen, replace(shared, misfit=single.misfit - 5.0)) < score(fitter.screen, single)
+    assert score(fitter, single) < score(fitter, shared)
+    assert score(fitter, replace(shared, misfit=single.misfit - 5.0)) < score(fitter, single)
 
 
 def test_no_friction_at_all_is_an_answer_and_twice_the_range_is_none() -> None:
@@ -150,14 +150,14 @@ def test_a_cause_on_feet_takes_its_share_of_all(
 ) -> None:
     """Where deviations leave no gap: feet that slip and land differ from a simulator's by many nats without a cause."""
     screen = fitter.screen
-    monkeypatch.setattr(screen, "gap", gap)
+    known = fitter.under(gap=gap)
     monkeypatch.setattr(screen.simulator.context, "touches", touches)
     nothing = replace(fitter.nominal(), misfit=1000.0)
-    assert asked(screen, nothing) == max(0.0 if gap else CLEARLY, 1000.0 * share)
+    assert asked(known, nothing) == max(0.0 if gap else CLEARLY, 1000.0 * share)
     found = fitter.fit([_cause(fitter, "motor_gain", -0.2)])
     assert found is not None
     assert leftover(screen, found).mean() < 1  # beside the right cause noise stays, and feet
-    assert asked(screen, replace(found, misfit=1000.0)) == max(CLEARLY, 1000.0 * SHARE * touches)
+    assert asked(known, replace(found, misfit=1000.0)) == max(CLEARLY, 1000.0 * SHARE * touches)
 
 
 def test_a_first_cause_on_feet_holds_on_runs_left_out(fitter: Fitter, monkeypatch) -> None:
@@ -166,10 +166,9 @@ def test_a_first_cause_on_feet_holds_on_runs_left_out(fitter: Fitter, monkeypatc
     found = fitter.fit([_cause(fitter, "motor_gain", -0.2)])
     assert found is not None
     monkeypatch.setattr("realsim.gap.inference.causes.score.left_out", lambda *_: (-0.1, 0.2))
-    monkeypatch.setattr(fitter.screen, "gap", True)
     for touches in (False, True):
         monkeypatch.setattr(fitter.screen.simulator.context, "touches", touches)
-        said = doubts(fitter, nothing, found)[0]
+        said = doubts(fitter.under(gap=True), nothing, found)[0]
         assert said == ["does not hold on runs left out in turn"] * touches
 
 
@@ -184,12 +183,9 @@ def test_a_first_cause_is_cheap_where_deviations_leave_a_gap(fitter: Fitter) -> 
     assert one is not None
     assert two is not None
     dear = CAUSE + CAUSE_A_JOINT * len(screen.simulator.case.joint_names)
-    try:
-        (sure_one, sure_two), (open_one, open_two) = (
-            [score(screen, f) for f in (one, two)] for screen.gap in (True, False)
-        )
-    finally:
-        screen.gap = False
+    (sure_one, sure_two), (open_one, open_two) = (
+        [score(fitter.under(gap=gap), f) for f in (one, two)] for gap in (True, False)
+    )
     assert open_one - sure_one == pytest.approx(dear - np.log(len(screen.candidates)))
     assert open_two - open_one == pytest.approx(sure_two - sure_one)
 

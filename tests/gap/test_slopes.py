@@ -57,7 +57,7 @@ def test_evidence_about_another_centre_is_that_of_the_shifted_residual(seed: int
 @pytest.mark.parametrize(("finer", "centre"), [(0.0, 0.0), (0.75, 1.0)])
 def test_small_robots_live_in_the_simulators_step_or_in_continuous_time(arm: Case, finer: float, centre: float) -> None:
     screen = screened(logged(arm, [("time_step", (), {"finer": finer})]), ("armature",))
-    nominal = Fitter(screen).nominal()
+    nominal = Fitter.of(screen).nominal()
     step = screen.index["time_step", (), "finer"]
     assert np.broadcast_to(nominal.evidence.centre, len(screen.atoms))[step] == centre
     assert leftover(screen, nominal).mean() < 1.0
@@ -135,9 +135,10 @@ def test_slopes_are_taken_anew_beside_a_cause(arm: Case) -> None:
     i = screen.index["armature", ("elbow",), "armature"]
     own = screen.index["motor_gain", ("shoulder",), "ratio"]
     before = [screen.columns(k, [i, own]).copy() for k in range(len(screen.runs))]
-    version = screen.comparison.version
-    screen.relinearise([cause])
-    assert screen.comparison.version > version  # what was weighed with the old slopes is weighed again
+    fitter = Fitter.of(screen)
+    old = fitter.nominal().evidence
+    screen.relinearise([cause], fitter.conditions)
+    assert fitter.nominal().evidence.version > old.version  # what was weighed with the old slopes is weighed again
     width = 0.05 * screen.atoms[i].parameter.step
     base, moved = (
         screen.simulator.simulate([cause, *extra], runs=screen.runs)
@@ -155,7 +156,7 @@ def test_what_does_nothing_beside_a_cause_explains_nothing_there(arm: Case) -> N
     screen = screened(arm, ("stiffness_gain",))
     dead, other = (screen.index["stiffness_gain", (joint,), "ratio"] for joint in ("elbow", "shoulder"))
     assert all(np.abs(screen.columns(k, [dead])).max() > 0 for k in range(len(screen.runs)))
-    screen.relinearise([("motor_gain", ("elbow",), {"ratio": -40.0})])
+    screen.relinearise([("motor_gain", ("elbow",), {"ratio": -40.0})], Fitter.of(screen).conditions)
     for k in range(len(screen.runs)):
         assert (screen.columns(k, [dead]) == 0).all()
         assert np.abs(screen.columns(k, [other])).max() > 0
@@ -177,11 +178,11 @@ def test_arms_that_do_not_feel_one_another_have_the_slopes_of_each_alone(made, m
     case = load_case(made(Truth(), two_arms(), runs=2, span=(1.6, 1.8)))
     screen = screened(case, effects)
     assert len(set(screen.trees.values())) == 2
-    screen.relinearise([("viscous_friction", ("elbow",), {"damping": 0.4})])
+    screen.relinearise([("viscous_friction", ("elbow",), {"damping": 0.4})], Fitter.of(screen).conditions)
     together = [screen.columns(k, range(len(screen.atoms))) for k in range(2)]
     monkeypatch.setattr(Screen, "_apart", lambda *_: {})
     alone = screened(case, effects)
-    alone.relinearise([("viscous_friction", ("elbow",), {"damping": 0.4})])
+    alone.relinearise([("viscous_friction", ("elbow",), {"damping": 0.4})], Fitter.of(alone).conditions)
     assert [(a.effect, a.place) for a in alone.atoms] == [(a.effect, a.place) for a in screen.atoms]
     for k, columns in enumerate(together):
         other = alone.columns(k, range(len(alone.atoms)))
@@ -201,24 +202,24 @@ def test_a_search_that_fails_on_a_run_it_did_not_look_at_finds_nothing(made, mon
     screen = screened(case, ("armature",))
     assert screen.varied is not None
     assert len(screen.varied) < len(screen.runs)
-    fitter = Fitter(screen)
+    fitter = Fitter.of(screen)
     cause = Cause(screen.candidates[0], (0.01,))
     assert fitter.fit([cause], few=fitter.rough(fitter.nominal())) is not None
     few, simulate = fitter.rough(fitter.nominal()), screen.simulator.simulate
 
-    def falls(settings=(), runs=None, coarse=1):
-        made = simulate(settings, runs, coarse)
+    def falls(settings=(), runs=None, coarse=1, onsets=None):
+        made = simulate(settings, runs, coarse, onsets)
         return [np.full_like(y, np.nan) for y in made] if settings and len(made) == len(screen.runs) else made
 
     monkeypatch.setattr(screen.simulator, "simulate", falls)
-    assert Fitter(screen).fit([cause], few=few) is None
+    assert Fitter.of(screen).fit([cause], few=few) is None
 
 
 def test_a_richer_law_takes_the_place_of_the_plain_one(arm: Case) -> None:
     truth = {"static_friction": 3.0, "coulomb": 1.0, "stribeck_velocity": 0.1}
     case = logged(arm, [("stribeck_friction", ("shoulder",), truth)])
     screen = screened(case, ("coulomb_friction", "stribeck_friction"))
-    fitter = Fitter(screen)
+    fitter = Fitter.of(screen)
     of = {(c.effect, c.place, len(c.names)): c for c in screen.candidates}
     plain = fitter.fit([Cause(of["coulomb_friction", ("shoulder",), 1], (1.0,))])
     assert plain is not None
@@ -236,7 +237,7 @@ def test_a_superfluous_cause_is_dropped(arm: Case) -> None:
     of = {(c.effect, c.place): c for c in screen.candidates}
     real = Cause(of["motor_gain", ("elbow",)], (-0.3,))
     idle = Cause(of["viscous_friction", ("shoulder",)], (0.01,))
-    fitter = Fitter(screen)
+    fitter = Fitter.of(screen)
     both = fitter.fit([idle, real])
     assert both is not None
     search = Search(fitter, 2, both)
@@ -266,8 +267,8 @@ def test_braking_by_the_servo_and_by_grease_is_one_motion(arm: Case, name: str, 
 class Jagged(Fitter):
     """In the first run a foot slips or trips now and then: steep slopes that foretell nothing."""
 
-    def _predict(self, causes, few=None):
-        found = super()._predict(causes, few)
+    def predict(self, causes, few=None):
+        found = super().predict(causes, few)
         if found is None or not causes or (few is not None and 0 not in few.runs):
             return found
         ripple = 0.02 * np.sin(60.0 * causes[0].values[0] / abs(causes[0].candidate.parameters[0].step))
@@ -277,7 +278,7 @@ class Jagged(Fitter):
 def test_a_run_of_which_slopes_foretell_nothing_does_not_stop_the_others(arm: Case) -> None:
     joint = arm.joint_names[0]
     case = logged(arm, [("viscous_friction", (joint,), {"damping": 0.3})])
-    fitter = Jagged(screened(case, ("viscous_friction",)))
+    fitter = Jagged.of(screened(case, ("viscous_friction",)))
     found = next(c for c in fitter.screen.candidates if c.effect == "viscous_friction" and c.place == (joint,))
     fit = fitter.fit([Cause(found, (0.03,))], iterations=8)
     assert fit is not None

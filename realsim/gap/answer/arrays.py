@@ -76,8 +76,9 @@ def collect(
     reason = "" if fit.causes else "No cause was found, so there is nothing to add."
     if fit.causes:
         try:
-            after = tuple(simulator.simulate(fit.settings(), runs=runs))
-            shots = (*shots, shoot(simulator, fit.settings(), runs))
+            onsets = fit.conditions.onsets
+            after = tuple(simulator.simulate(fit.settings(), runs, onsets=onsets))
+            shots = (*shots, shoot(simulator, fit.settings(), runs, onsets))
         except GapError as error:
             after, reason = (), f"The patched simulator does not run: {error.message}"
     spec = case.spec.copy()

@@ -6,7 +6,7 @@ the patch changes it. Everyday deviations are in neither; they only decide how m
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -160,11 +160,15 @@ def _where_it_acts(comparison: Comparison, runs: Sequence[int], before: Sequence
 
 
 def errors(
-    simulator: Simulator, comparison: Comparison, settings: Sequence[Setting], runs: Sequence[int]
+    simulator: Simulator,
+    comparison: Comparison,
+    settings: Sequence[Setting],
+    runs: Sequence[int],
+    onsets: Mapping[str, float],
 ) -> list[F64] | None:
-    """(B, C) residuals a run, or None where the simulation fails."""
+    """(B, C) residuals a run, or None where the simulation fails; see `Simulator.edited` for `onsets`."""
     try:
-        predicted = simulator.simulate(settings, runs=runs)
+        predicted = simulator.simulate(settings, runs, onsets=onsets)
     except GapError:
         return None
     if not all(np.isfinite(y).all() for y in predicted):

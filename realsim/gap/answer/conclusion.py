@@ -57,30 +57,23 @@ class Conclusion:
     """Where no cause is named: the nearest one, whose size robots of one kind may differ by."""
 
 
-def conclude(
-    config: DiagnoseConfig,
-    screen: Screen,
-    fitter: Fitter,
-    selection: Selection,
-    held: Sequence[int],
-    nominal: Sequence[F64],
-) -> Conclusion:
+def conclude(config: DiagnoseConfig, selection: Selection, held: Sequence[int], nominal: Sequence[F64]) -> Conclusion:
     """The causes that last, sets as good as them, the check, the verdict.
 
     Args:
-        screen: of the fitted runs.
-        selection: of the search.
+        selection: of the search, on the fitted runs.
         held: runs that nothing above has looked at.
         nominal: (T, C) a run, of the nominal simulator, all runs of the case.
     """
-    notes: list[str] = list(selection.notes)
+    notes, fitter, screen = list(selection.notes), selection.fitter, selection.fitter.screen
     fit, left, dropped = _lasting(screen, fitter, selection, notes)
     if fit is selection.fit:
         given = [f for f in selection.equivalent if not _again(screen, f, fit)]
     else:  # the search compared other sets: what is as good as what lasts is looked for anew
         fit, left, given = _simplest(screen, fitter, selection.trials, fit, left)
     fit, left, others = beside_imitations(screen, fitter, fit, left, given, notes)
-    checked, warnings = _checked(config, screen, fit, selection.nominal, left, held, nominal)
+    fit, warnings = _with_onsets(screen, fit, held, nominal)
+    checked, more = _checked(config, screen, fit, selection.nominal, left, held, nominal)
     fitted = _fitted(screen, fit, selection.nominal, nominal)
     sigmas = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)) if fit.causes else np.zeros(0)
     if left is not None:
@@ -113,11 +106,10 @@ def conclude(
         without = replace(
             selection, fit=fitter.spread(plain) if plain else selection.nominal, equivalent=[], notes=notes
         )
-        return conclude(config, screen, fitter, without, held, nominal)
+        return conclude(config, without, held, nominal)
     lead = None if fit.causes else _lead(fitter, selection)
-    return Conclusion(
-        fit, sigmas, tuple(others), checked, judgement, left, tuple(notes), tuple(warnings), lead
-    )  # fmt: skip
+    alike = tuple(other.under(onsets=fit.conditions.onsets) for other in others)
+    return Conclusion(fit, sigmas, alike, checked, judgement, left, tuple(notes), (*warnings, *more), lead)
 
 
 def _doubts(screen: Screen, fit: Fit, sigmas: F64, dropped: Sequence[Cause], trials: Sequence[Trial]) -> list[str]:
@@ -241,7 +233,7 @@ def _simplest(
 
     def order(one: Fit) -> tuple[bool, bool, float]:
         sigmas = np.sqrt(np.maximum(np.diag(fitter.spread(one).covariance), 0.0))
-        return imitates(one), not all(_told_from_none(one, sigmas)), score(screen, one)
+        return imitates(one), not all(_told_from_none(one, sigmas)), score(fitter, one)
 
     best, *rest = sorted([fit, *others], key=order)
     return (fit, left, others) if best is fit else (fitter.spread(best), leave_out(screen, fitter, best), rest)
@@ -273,7 +265,7 @@ def _again(screen: Screen, rival: Fit, fit: Fit) -> bool:
     runs, simulator, comparison = list(screen.runs), screen.simulator, screen.comparison
     nothing = [screen.comparison.residual(r, y) for r, y in zip(runs, screen.nominal, strict=True)]
     for cause in rival.causes:
-        alone = errors(simulator, comparison, cause.settings(), runs)
+        alone = errors(simulator, comparison, cause.settings(), runs, fit.conditions.onsets)
         if alone is not None and _apart(comparison, runs, alone, nothing) < figures.LEAST:
             return True
     return any(contains(c.candidate, o.candidate) for c in rival.causes for o in fit.causes)
@@ -319,7 +311,7 @@ def _checked(
     nominal: Sequence[F64],
 ) -> tuple[Check, list[str]]:
     """The check on the runs held out; where there is none, or it shows no gap, on the fitted runs left out in turn."""
-    warnings = _read_onsets(screen, fit, held, nominal)
+    warnings = list[str]()
     ahead = over_horizons(screen, fit, left, held, config.seed) if fit.causes else None
     if held:
         found = replace(_check_on(config, screen, fit, nothing, held, "validation", nominal, None), horizons=ahead)
@@ -352,7 +344,7 @@ def _check_on(
     if not all(np.isfinite(nominal[r]).all() for r in runs):
         raise GapError("the nominal simulator explodes on the runs of the check")
     if after is None:
-        after = errors(simulator, comparison, fit.settings(), runs) if fit.causes else before
+        after = errors(simulator, comparison, fit.settings(), runs, fit.conditions.onsets) if fit.causes else before
         after = before if after is None else after  # a patch that does not run there is none
     beside = _beside(screen, fit, runs) or after
     alone = _beside(screen, nothing, runs) if fit.causes else None
@@ -363,24 +355,23 @@ def _beside(screen: Screen, fit: Fit, runs: Sequence[int]) -> list[F64] | None:
     """Residuals with the causes and the everyday deviations of the fitted runs, which shrink until they can be run."""
     for scale in (1.0, 0.5):
         settings = [*fit.settings(), *nuisance_settings(screen, fit, scale)]
-        found = errors(screen.simulator, screen.comparison, settings, list(runs))
+        found = errors(screen.simulator, screen.comparison, settings, list(runs), fit.conditions.onsets)
         if found is not None:
             return found
     return None
 
 
-def _read_onsets(screen: Screen, fit: Fit, held: Sequence[int], nominal: Sequence[F64]) -> list[str]:
+def _with_onsets(screen: Screen, fit: Fit, held: Sequence[int], nominal: Sequence[F64]) -> tuple[Fit, tuple[str, ...]]:
     """When a passing force begins in a run held out cannot be foretold: that alone is read off it, and reported."""
     passing = any("lasts" in c.candidate.names for c in fit.causes)
     if not passing or not held:
-        return []
-    simulator = screen.simulator
+        return fit, ()
     known = find_onsets(screen.comparison, nominal)
-    names = [simulator.case.runs[i].name for i in held]
+    names = [screen.simulator.case.runs[i].name for i in held]
     new = {name: known[name] for name in names if name in known}
-    simulator.onsets = simulator.onsets | new
-    said = ", ".join(f"{run} at {at:.2f} s" for run, at in new.items()) or "in none"
-    return [f"when the force begins in the runs of the check was read off them ({said}); nothing else was"]
+    read = ", ".join(f"{run} at {at:.2f} s" for run, at in new.items()) or "in none"
+    warning = f"when the force begins in the runs of the check was read off them ({read}); nothing else was"
+    return fit.under(onsets={**fit.conditions.onsets, **new}), (warning,)
 
 
 def _name(cause: Cause) -> str:

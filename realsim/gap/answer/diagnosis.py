@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,6 @@ from realsim.gap.inference.causes.fit import Cause, Fit
 from realsim.gap.inference.causes.fitted import Trial
 from realsim.gap.inference.causes.select import Selection
 from realsim.gap.inference.likelihood.screen import Screen
-from realsim.gap.simulation.simulate import Simulator
 from realsim.gap.verdicts import GapVerdict
 
 ROUNDING = 1e-6
@@ -93,12 +93,10 @@ class Diagnosis:
         return path
 
 
-def describe_cause(
-    simulator: Simulator, cause: Cause, sigmas: np.ndarray, probability: float | None = None
-) -> dict[str, Any]:
+def describe_cause(cause: Cause, sigmas: np.ndarray, onsets: Mapping[str, float]) -> dict[str, Any]:
     """A cause in the contract's form: places, values and intervals in reported units.
 
-    `probability` is null unless the search has a posterior: none is stated that was not calibrated.
+    `probability` is null: none is stated that was not calibrated.
     """
     effect = lookup(cause.candidate.effect)
     parameters = {p.name: p for p in cause.candidate.parameters}
@@ -116,24 +114,23 @@ def describe_cause(
             note = NOT_DETERMINED
         if (when := effect.law.passing.get(name)) and when.onset:
             since = cause.named[when.onset]
-            starts = [f"{run} from {at + since:.2f} s" for run, at in simulator.onsets.items()]
+            starts = [f"{run} from {at + since:.2f} s" for run, at in onsets.items()]
             note = f"in {', '.join(starts)}; in no other run"
         reported[p.label or name] = {"value": p.report(value), "unit": p.unit, "ci90": ends}
         if note:
             reported[p.label or name]["note"] = note
     places = {key: list(cause.candidate.place)} if (key := PLACES.get(effect.scope)) and cause.candidate.place else {}
-    return {"effect": cause.candidate.effect, **places, "parameters": reported, "probability": probability}
+    return {"effect": cause.candidate.effect, **places, "parameters": reported, "probability": None}
 
 
-def describe_set(
-    simulator: Simulator, fit: Fit, order: list[int] | None = None, sigmas: np.ndarray | None = None
-) -> list[dict[str, Any]]:
+def describe_set(fit: Fit, order: list[int] | None = None, sigmas: np.ndarray | None = None) -> list[dict[str, Any]]:
     """All causes of a fit, in `order`; `sigmas`: (m,) of all values, the fit's own if None."""
     if sigmas is None:
         sigmas = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)) if fit.causes else np.zeros(0)
     starts = np.cumsum([0, *(len(c.values) for c in fit.causes)])
     chosen = range(len(fit.causes)) if order is None else order
-    return [describe_cause(simulator, fit.causes[i], sigmas[starts[i] : starts[i + 1]]) for i in chosen]
+    onsets = fit.conditions.onsets
+    return [describe_cause(fit.causes[i], sigmas[starts[i] : starts[i + 1]], onsets) for i in chosen]
 
 
 def ranked_effects(selection: Selection, screen: Screen) -> list[dict[str, Any]]:

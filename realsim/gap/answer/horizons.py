@@ -42,7 +42,7 @@ def over_horizons(screen: Screen, fit: Fit, left: LeftOut | None, held: Sequence
     before, after = list[F64](), list[F64]()
     for run, settings in _unseen(screen, fit, left, held):
         try:
-            shots = [shoot(simulator, s, [run]) for s in ((), settings)]
+            shots = [shoot(simulator, s, [run], fit.conditions.onsets) for s in ((), settings)]
         except GapError:
             continue
         for squares, shot in zip((before, after), shots, strict=True):

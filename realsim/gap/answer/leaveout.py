@@ -53,16 +53,17 @@ def leave_out(screen: Screen, fitter: Fitter, fit: Fit) -> LeftOut:
     runs = list(screen.runs)
     values, residuals, after = [], [], []
     rest = discrepancy(comparison, runs, rests(screen, fit))
-    with comparison.allowing(np.hypot(comparison.noise.detail, rest)):
-        fit = fitter.spread(fitter.remeasure(fit))
-        for k, (x, causes) in enumerate(fitter.without_each(fit)):
-            predicted = fitter.of_run(fit, causes, k)
-            left = screen.residual(k, predicted, fit.evidence.centre + x - fit.about)
-            after.append(mean_square(comparison, [left], [runs[k]]))
-            values.append(values_of(causes))
-            settings = [s for c in causes for s in c.settings()]
-            plain = errors(screen.simulator, comparison, settings, [runs[k]]) if fit.about.any() else None
-            residuals.append(plain[0] if plain else comparison.residual(runs[k], predicted))
+    detail = [np.hypot(comparison.noise.detail, rest) for _ in comparison.case.runs]
+    fitter = fitter.under(weights=comparison.weights(detail, fitter.conditions.weights.form))
+    fit = fitter.spread(fitter.remeasure(fit))
+    for k, (x, causes) in enumerate(fitter.without_each(fit)):
+        predicted = fitter.of_run(fit, causes, k)
+        left = screen.residual(k, predicted, fit.evidence.centre + x - fit.about)
+        after.append(mean_square(comparison, [left], [runs[k]]))
+        values.append(values_of(causes))
+        settings, onsets = [s for c in causes for s in c.settings()], fit.conditions.onsets
+        plain = errors(screen.simulator, comparison, settings, [runs[k]], onsets) if fit.about.any() else None
+        residuals.append(plain[0] if plain else comparison.residual(runs[k], predicted))
     sigmas = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
     if len(runs) > 2:
         spread = np.array(values) - np.mean(values, axis=0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from math import log1p
 from pathlib import Path
@@ -47,7 +47,7 @@ def make_patch(simulator: Simulator, fit: Fit) -> dict[str, Any]:
             for n, p, values in settings
         ],
         "scales": _scales(simulator.context),
-        "wrappers": wrappers(signals, simulator.onsets),
+        "wrappers": wrappers(signals, fit.conditions.onsets),
         "how": [_how(simulator, setting) for setting in settings],
     }
 
@@ -59,7 +59,7 @@ def _how(simulator: Simulator, setting: Setting) -> dict[str, Any]:
     return {"effect": name, "place": list(place), "means": means}
 
 
-def wrappers(signals: Signals, onsets: dict[str, float] | None = None) -> dict[str, Any]:
+def wrappers(signals: Signals, onsets: Mapping[str, float] | None = None) -> dict[str, Any]:
     """Only what differs from nothing: {value, unit, what to do}; `onsets`: those of the runs, s."""
     found: dict[str, Any] = {}
     for wrapper in fields(signals):
@@ -123,7 +123,7 @@ def apply_patch(spec: Any, patch: dict[str, Any]) -> Signals:
     context = build_context(case)
     for name, values in patch["scales"].items():
         getattr(context, name).update(values)
-    edit = Edit(context, spec)
+    edit = Edit(context, spec=spec)
     for item in patch["settings"]:
         effect = EFFECTS[item["effect"]]
         place = tuple(item["place"])

@@ -25,7 +25,7 @@ def what_stays(simulator: Simulator, comparison: Comparison, fit: Fit, runs: Seq
     What only wrappers hold (delays, readings) is in the simulated positions and not in the torque that is asked for.
     """
     try:
-        predicted = simulator.simulate(fit.settings(), runs=runs)
+        predicted = simulator.simulate(fit.settings(), runs, onsets=fit.conditions.onsets)
     except GapError:
         return []
     residuals = [comparison.residual(r, y) for r, y in zip(runs, predicted, strict=True)]

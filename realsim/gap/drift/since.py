@@ -86,15 +86,14 @@ def changed_since(
         comparison = Comparison(pair.case, simulator.channels, simulator.simulate(), config, fitted)
         free_starts(simulator, comparison)
         earlier = Screen(simulator, comparison, pair.before, config.effects, tick)
-        common = select(earlier, Fitter(earlier), config, tick)
+        common = select(Fitter.of(earlier), config, tick)
         # Of what only imitates both logs may have as much as they like; a robot that has it would hide a change.
         shared = common.nominal if imitates(common.fit) else common.fit
         simulator.begin_from(shared.settings())
         screen = Screen(simulator, comparison, fitted, config.effects, tick, since=True)
         _loosen(screen, common.fit, shared is common.fit)
-        fitter = Fitter(screen)
-        found = select(screen, fitter, config, tick)
-        fit, notes = found.fit, list(found.notes)
+        found = select(Fitter.of(screen), config, tick)
+        fit, notes, fitter = found.fit, list(found.notes), found.fitter
         if doubts := [d for c, sigmas in _with_errors(fit) if (d := _doubt(c, sigmas))]:
             fit, notes = found.nominal, notes + doubts
         rivals: list[Fit] = []

@@ -36,7 +36,7 @@ def rivals_of(simulator: Simulator, fits: Sequence[Fit]) -> tuple[Rival, ...]:
     """Fits that explain the runs equally well as rivals, the first the best."""
     found = []
     for fit in fits:
-        said = "; ".join(phrase(c) for c in describe_set(simulator, fit))
+        said = "; ".join(phrase(c) for c in describe_set(fit))
         found.append(rival_of(fit, said))
     return tuple(found)
 

@@ -80,9 +80,7 @@ class Bench:
                 nominal = self._simulated(simulator, [])
                 if isinstance(nominal, str):
                     return nominal
-                comparison = Comparison(simulator.case, simulator.channels, nominal, self.config)
-                comparison.noise = self.noise
-                comparison.set_detail([self.noise.detail for _ in nominal])
+                comparison = Comparison(simulator.case, simulator.channels, nominal, self.config, noise=self.noise)
                 motions, spread = [], []
                 for rival in rivals:
                     here = self._simulated(simulator, rival.settings())
@@ -205,12 +203,12 @@ def expected_posterior(separation: F64) -> F64:
 def _weights(predicted: Predicted, truth: Sequence[F64], form: float) -> F64:
     """(N,) of all bins in a row: one over the variance of sensors, slow detail and what the law may miss."""
     comparison = predicted.comparison
-    rows = []
+    rows, known = [], comparison.weights().of
     for run, (y, y0) in enumerate(zip(truth, predicted.nominal, strict=True)):
         change = comparison.change(run, y, y0)
         missed = form * np.sqrt(np.mean(change**2, axis=0))
         variance = comparison.variance(run) + CORRELATION * (comparison.noise.detail**2 + missed**2)
-        rows.append(np.where(comparison.weights[run] > 0, 1 / variance, 0.0).reshape(-1))
+        rows.append(np.where(known[run] > 0, 1 / variance, 0.0).reshape(-1))
     return np.concatenate(rows)
 
 

@@ -66,7 +66,7 @@ class _Replay:
         self.dt = float(self.model.opt.timestep)
         self.steps = int(np.ceil(run.duration / self.dt)) + 2
         case = simulator.case
-        self.control = controls(simulator.context, self.model, run, self.edit, self.steps, 0, simulator.onsets)
+        self.control = controls(simulator.context, self.model, run, self.edit, self.steps, 0)
         self.off = switched_off(case, self.model, run, self.edit, self.steps, 0)
         tracks = {"pos": motion.qpos[:, [case.model.joint(n).qposadr[0] for n in case.joint_names]]}
         if case.floating:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,6 @@ def controls(
     edit: Edit,
     steps: int,
     settle: int,
-    onsets: Mapping[str, float],
     start: Start | None = None,
 ) -> F64:
     """(steps, U) control of every step, the first `settle` of them before the run begins.
@@ -51,7 +50,7 @@ def controls(
             low, high = model.actuator_ctrlrange[i] if model.actuator_ctrllimited[i] else (-np.inf, np.inf)
             control[:, i] = lagged(np.clip(control[:, i], low, high), lag, dt)
     for pulse in edit.signals.pulses:
-        began = onsets.get(run.name) if pulse.by_onset else 0.0
+        began = edit.onsets.get(run.name) if pulse.by_onset else 0.0
         if began is not None:
             since = grid[:-1] - began
             control[:, model.actuator(pulse.actuator).id] = (since >= pulse.start) & (since < pulse.end)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
@@ -80,8 +80,6 @@ class Simulator:
         self._changed: Recent[list[dict[str, F64]]] = Recent(KEPT)
         self.starts: tuple[Start, ...] = tuple(Start() for _ in case.runs)
         """How each run begins."""
-        self.onsets: dict[str, float] = {}
-        """Run -> seconds at which something sudden begins there; see realsim.gap.inference.evidence.onsets."""
         self.base: tuple[Setting, ...] = ()
         """What every simulation contains."""
         self._raw = self.roll_out(Edit(self.context), None)
@@ -130,13 +128,16 @@ class Simulator:
         self.base = tuple(settings)
         self._raw = self.roll_out(self.edited(()), None)
 
-    def edited(self, settings: Sequence[Setting]) -> Edit:
-        """The changed simulator; effects that end in SINCE change the runs of the later log alone."""
+    def edited(self, settings: Sequence[Setting], onsets: Mapping[str, float] | None = None) -> Edit:
+        """The changed simulator; effects that end in SINCE change the runs of the later log alone.
+
+        `onsets`: run -> s at which a force begins that comes at a moment of its own in each.
+        """
         always = [*self.base, *(s for s in settings if not s[0].endswith(SINCE))]
         changes = [s for s in settings if s[0].endswith(SINCE)]
-        edit = self._edited(self._summed(always) if self.base else always)
+        edit = self._edited(self._summed(always) if self.base else always, onsets)
         if changes:
-            edit.later = self._edited(self._summed([*always, *changes]))
+            edit.later = self._edited(self._summed([*always, *changes]), onsets)
         return edit
 
     def _summed(self, settings: Sequence[Setting]) -> list[Setting]:
@@ -151,8 +152,8 @@ class Simulator:
                     here[p.name] = float(np.clip(moved, *p.bounds))
         return [(name, place, values) for (name, place), values in found.items()]
 
-    def _edited(self, settings: Sequence[Setting]) -> Edit:
-        edit = Edit(self.context)
+    def _edited(self, settings: Sequence[Setting], onsets: Mapping[str, float] | None) -> Edit:
+        edit = Edit(self.context, onsets)
         for name, place, values in settings:
             effect = lookup(name)
             full = {p.name: p.default for p in effect.parameters(self.context, place)}
@@ -166,11 +167,16 @@ class Simulator:
         return edit
 
     def simulate(
-        self, settings: Sequence[Setting] = (), runs: Sequence[int] | None = None, coarse: int = 1
+        self,
+        settings: Sequence[Setting] = (),
+        runs: Sequence[int] | None = None,
+        coarse: int = 1,
+        onsets: Mapping[str, float] | None = None,
     ) -> list[F64]:
-        """(T, C) a run, of the runs with these indices (all if None); `coarse` multiplies the time step."""
+        """(T, C) a run, of the runs with these indices (all if None); `coarse` multiplies the time step; see `edited`
+        for `onsets`."""
         chosen = list(range(len(self.case.runs))) if runs is None else list(runs)
-        edit = self.edited(settings)
+        edit = self.edited(settings, onsets)
         raw = self._raw_of(edit, chosen, coarse)
         return [self.read(self.case.runs[i], r, edit) for i, r in zip(chosen, raw, strict=True)]
 
@@ -195,7 +201,7 @@ class Simulator:
         if coarse == 1 and not moves:
             assert self._raw is not None
             return [self._raw[i] for i in chosen]
-        motion = repr((edit.bodily, self.onsets)), edit.signals.motion(moving), coarse, tuple(chosen)
+        motion = repr((edit.bodily, edit.onsets)), edit.signals.motion(moving), coarse, tuple(chosen)
         return (self._changed if moves else self._coarse).get(motion, lambda: self.roll_out(edit, chosen, coarse))
 
     # ------------------------------------------------------------ inside
@@ -248,7 +254,7 @@ class Simulator:
         lengths = [int(np.ceil((min(run.duration, seconds) + 0.05) / dt)) + 2 for run in runs]
         steps = [lead + length for lead, length in zip(settle, lengths, strict=True)]
         control = [
-            controls(self.context, model, run, edit, n, k, self.onsets, start)
+            controls(self.context, model, run, edit, n, k, start)
             for run, n, k, start in zip(runs, steps, settle, begun, strict=True)
         ]
         off = [switched_off(self.case, model, r, edit, n, k) for r, n, k in zip(runs, steps, settle, strict=True)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -134,9 +135,10 @@ class Signals:
 class Edit:
     """A simulator being changed. The spec is copied when it is first touched."""
 
-    def __init__(self, context: Context, spec: Any = None) -> None:
-        """`spec`: what is changed in place; a copy of the context's if None."""
+    def __init__(self, context: Context, onsets: Mapping[str, float] | None = None, spec: Any = None) -> None:
+        """`onsets`: run -> s at which pulses by onset begin. `spec`: changed in place; if None, the context's copy."""
         self.context = context
+        self.onsets = dict(onsets or {})
         self.signals = Signals()
         self.bodily: list[Any] = []
         """Settings of the effects that asked for the spec."""

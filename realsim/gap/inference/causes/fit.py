@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 
@@ -31,21 +30,24 @@ class Fitter(GaussNewton):
         The discrepancy between robot and model is estimated with each set. Else a large gap would be fitted by absurd
         values of many nuisance parameters, since sensors are so precise that their prior does not count.
         """
-        screen, simulator = self.screen, self.screen.simulator
-        settings, self.about = fit.settings(), fit.about
-        if fit.causes and not simulator.onsets:  # a lasting cause drowns a push until it is known
-            simulator.onsets = find_onsets(screen.comparison, simulator.simulate(settings), screen.runs)
-        fit = self.reweighted(fit)
+        screen, simulator, settings = self.screen, self.screen.simulator, fit.settings()
+        here = self.under(about=fit.about)
+        if fit.causes and not self.conditions.onsets:  # a lasting cause drowns a push until it is known
+            here = here.under(onsets=find_onsets(screen.comparison, simulator.simulate(settings), screen.runs))
+        fit = here.reweighted(fit)
         # Where feet touch, deviations are simulated: beside them, the slopes that are there describe a small rest.
         if fit.causes and (not simulator.context.touches or is_gap(leftover(screen, fit))):
             if not any(lookup(c.candidate.effect).law.stiff for c in fit.causes):  # each slope at many times the steps
-                screen.relinearise(settings)
-            fit = self.reweighted(self.with_likelier_solver(self.remeasure(fit)))
-        return self.with_deviations(fit) if simulator.context.touches or is_gap(leftover(screen, fit)) else fit
+                screen.relinearise(settings, fit.conditions)
+            here = here.under_those_of(fit)
+            fit = here.reweighted(here.with_likelier_solver(here.remeasure(fit)))
+        if not (simulator.context.touches or is_gap(leftover(screen, fit))):
+            return fit
+        return here.under_those_of(fit).with_deviations(fit)
 
     def nominal(self) -> Fit:
         """No cause at all."""
-        return self._measure(())
+        return self.measured(())
 
     def with_likelier_solver(self, fit: Fit) -> Fit:
         """With the solver's other friction cone and the like, each where it explains most of the gap by itself.
@@ -53,15 +55,13 @@ class Fitter(GaussNewton):
         What is one or the other is tried, not sloped: beside slipping feet its slope says little of it, and lower
         friction imitates it. Beside causes the gap is theirs, and what stays of it may be the solver's.
         """
+        about = self.conditions.about
         for i in [i for i, atom in enumerate(self.screen.atoms) if atom.parameter.whole]:
-            old, cost = self.about, self._cost(fit)
-            self.about = np.where(np.arange(len(old)) == i, 1.0 - old, old)
-            moved = self.looked_at(fit, fit.causes)
+            other, cost = np.where(np.arange(len(about)) == i, 1.0 - about, about), self._cost(fit)
+            moved = self.under(about=other).looked_at(fit, fit.causes)
             most = cost - 2 * figures.NEAR if fit.causes else figures.SWITCHED * cost
             if moved is not None and self._cost(moved) < most:
-                fit = moved
-            else:
-                self.about = old
+                fit, about = moved, other
         return fit
 
     def with_deviations(self, fit: Fit) -> Fit:
@@ -69,12 +69,12 @@ class Fitter(GaussNewton):
         many of them would be bent to imitate a cause, and hide it from its own rivals. The solver's ways stay."""
         ways = {atom.effect for atom in self.screen.atoms if atom.parameter.whole}
         for _ in range(2):
-            fit = self.reweighted(self.beside_own(fit))
-            self.about = fit.about
+            fit = self.under_those_of(fit).reweighted(self.under_those_of(fit).beside_own(fit))
             if not is_gap(leftover(self.screen, fit)):
                 return fit
-        self.about = np.where([atom.effect in ways for atom in self.screen.atoms], self.about, 0.0)
-        return self.reweighted(self.looked_at(fit, fit.causes) or fit)
+        about = np.where([atom.effect in ways for atom in self.screen.atoms], fit.about, 0.0)
+        plain = self.under_those_of(fit.under(about=about))
+        return plain.reweighted(plain.looked_at(fit, fit.causes) or fit)
 
     def beside_own(self, fit: Fit) -> Fit:
         """The same causes beside the everyday deviations that are most probable beside them, by simulation: slopes lead
@@ -82,24 +82,22 @@ class Fitter(GaussNewton):
         themselves give too little for, but where feet slip and land, of which they tell little."""
         touches = self.screen.simulator.context.touches
         whole = [atom.parameter.whole for atom in self.screen.atoms]
-        with self.beside_those_of(fit):
-            nearer: Fit | None = fit
-            while nearer is not None:
-                fit, nearer = nearer, None
-                x = self.screen.possible(fit.evidence.centre + deviations(self.screen, fit))
-                least = self._cost(fit) - 2 * figures.CLEARLY
-                for share in figures.PARTS if touches or self._cost(fit, x - fit.about) < least else ():
-                    self.about = np.where(whole, fit.about, fit.about + share * (x - fit.about))
-                    moved = self.looked_at(fit, fit.causes)
-                    if moved is not None and self._cost(moved) < least:
-                        nearer = moved
-                        break
+        nearer: Fit | None = fit
+        while nearer is not None:
+            fit, nearer = nearer, None
+            x = self.screen.possible(fit.evidence.centre + deviations(self.screen, fit))
+            least = self._cost(fit) - 2 * figures.CLEARLY
+            for share in figures.PARTS if touches or self._cost(fit, x - fit.about) < least else ():
+                about = np.where(whole, fit.about, fit.about + share * (x - fit.about))
+                moved = self.under(about=about).looked_at(fit, fit.causes)
+                if moved is not None and self._cost(moved) < least:
+                    nearer = moved
+                    break
         return fit
 
     def beside_those(self, other: Fit, fit: Fit) -> Fit | None:
         """The causes of a fit beside deviations that are searched for from those of another one."""
-        with self.beside_those_of(other):
-            there = self.looked_at(fit, fit.causes)
+        there = self.under(about=other.about).looked_at(fit, fit.causes)
         return self.beside_own(there) if there is not None else None
 
     def settled(self, fit: Fit) -> Fit:
@@ -109,8 +107,7 @@ class Fitter(GaussNewton):
             return self.beside_own(fit)
         for size in figures.SLIDES:
             fit = self.beside_own(self._slid(fit, size))
-        with self.beside_those_of(fit):
-            again = self.fit(fit.causes, iterations=3, few=self.rough(fit))
+        again = self.under(about=fit.about).fit(fit.causes, iterations=3, few=self.rough(fit))
         return again if again is not None and again.misfit < fit.misfit else fit
 
     def _slid(self, fit: Fit, size: float) -> Fit:
@@ -120,10 +117,10 @@ class Fitter(GaussNewton):
         times = set(lookup(fit.causes[-1].candidate.effect).law.passing)
         strong = [p.name for p in parameters if p.strength and p.name not in times]
         groups = [*([p.name] for p in parameters if p.name in times), strong]
-        (*others, last), few = fit.causes, self.rough(fit)
+        (*others, last), few, beside = fit.causes, self.rough(fit), self.under(about=fit.about)
 
         def measured(cause: Cause) -> tuple[float, Cause]:
-            misfit = self.misfit((*others, cause), few)
+            misfit = beside.misfit((*others, cause), few)
             return np.inf if misfit is None else misfit, cause
 
         def moved(here: Cause, move: tuple[Sequence[str], float]) -> tuple[float, Cause]:
@@ -131,44 +128,34 @@ class Fitter(GaussNewton):
             there = [v + by * (1.0 if n in times else v) * (n in names) for n, v in here.named.items()]
             return measured(replace(here, values=tuple(clip(np.array(there), parameters).tolist())))
 
-        with self.beside_those_of(fit):
-            best, nearer = measured(last), True
-            while nearer:
-                looks = self.each(partial(moved, best[1]), [(names, by) for names in groups for by in (size, -size)])
-                best, before = min(best, *looks, key=lambda look: look[0]), best
-                nearer = best[0] < before[0]
-            there = fit if best[1] is last else self.looked_at(fit, (*others, best[1]))
+        best, nearer = measured(last), True
+        while nearer:
+            looks = self.each(partial(moved, best[1]), [(names, by) for names in groups for by in (size, -size)])
+            best, before = min(best, *looks, key=lambda look: look[0]), best
+            nearer = best[0] < before[0]
+        there = fit if best[1] is last else beside.looked_at(fit, (*others, best[1]))
         return there if there is not None and there.misfit < fit.misfit else fit
 
     def _cost(self, fit: Fit, x: F64 | float = 0.0) -> float:
         """Weighted squared residual of the simulation itself; with small deviations (p,) added by their slopes."""
         rests = (self.screen.residual(k, y, x) for k, y in enumerate(fit.predictions))
-        weights = (self.screen.comparison.weights[run] for run in self.screen.runs)
+        weights = (self.conditions.weights.of[run] for run in self.screen.runs)
         return float(sum(np.nansum(w * r**2) for w, r in zip(weights, rests, strict=True)))
 
     def reweighted(self, fit: Fit) -> Fit:
         """Weigh errors against what this fit leaves, and measure it anew."""
-        self.screen.comparison.temper(self.screen.runs, fit.predictions, self.screen.nominal, form(fit))
-        return self.remeasure(fit)
-
-    @contextmanager
-    def beside_those_of(self, fit: Fit) -> Iterator[None]:
-        """Simulations in here contain the nuisances that the fit was measured beside, whatever the search has since."""
-        own, self.about = self.about, fit.about
-        try:
-            yield
-        finally:
-            self.about = own
+        comparison, screen = self.screen.comparison, self.screen
+        weights = comparison.tempered(screen.runs, fit.predictions, screen.nominal, form(fit))
+        return self.under(weights=weights).remeasure(fit)
 
     def remeasure(self, fit: Fit) -> Fit:
-        """The same fit under the present weights."""
-        with self.beside_those_of(fit):
-            return replace(self._measure(fit.causes), covariance=fit.covariance)
+        """The same fit beside its own nuisances, under these weights."""
+        return replace(self.under(about=fit.about).measured(fit.causes), covariance=fit.covariance)
 
     def looked_at(self, fit: Fit, causes: Sequence[Cause]) -> Fit | None:
         """These causes at their very values, without a search, under the fit's weights; None if the robot falls."""
         try:
-            return replace(self._measure(tuple(causes)), covariance=fit.covariance)
+            return replace(self.measured(tuple(causes)), covariance=fit.covariance)
         except GapError:
             return None
 
@@ -190,7 +177,7 @@ class Fitter(GaussNewton):
             return None
         here, _, slopes = self._descend(begun, few, iterations, target)
         try:
-            return self._measure(here, True, slopes, few)
+            return self.measured(here, True, slopes, few)
         except GapError:  # on a run that a rough fit did not look at
             return None
 
@@ -199,11 +186,11 @@ class Fitter(GaussNewton):
         suit all runs leads to those that suit the others."""
         z, parameters, p = values_of(fit.causes), parameters_of(fit.causes), len(fit.prior)
         normal, prior, most = fit.evidence, fit.prior, figures.REASONABLE * fit.prior
-        with self.beside_those_of(fit):
-            if slopes := self.slopes(fit.causes, fit.predictions):
-                normal = self._normal(fit.causes, fit.predictions, slopes)
-                prior = np.append(prior, [4 * abs(p.step) for p in parameters])
-                most = np.append(most, widest(z, parameters))
+        beside = self.under(about=fit.about)
+        if slopes := beside.slopes(fit.causes, fit.predictions):
+            normal = beside.normal(fit.causes, fit.predictions, slopes)
+            prior = np.append(prior, [4 * abs(p.step) for p in parameters])
+            most = np.append(most, widest(z, parameters))
         for k in range(len(normal.A)):
             others = normal.without(k)
             x, _ = bounded(np.sum(others.A, axis=0), np.sum(others.b, axis=0), prior, most)
@@ -211,27 +198,23 @@ class Fitter(GaussNewton):
 
     def of_run(self, fit: Fit, causes: Sequence[Cause], k: int) -> F64:
         """(T, C) prediction of screened run k with these values; the fit's own where that fails."""
-        with self.beside_those_of(fit):
-            moved = self._predict(causes, Rough((k,))) if causes else None
+        moved = self.under(about=fit.about).predict(causes, Rough((k,))) if causes else None
         return moved[0] if moved else fit.predictions[k]
 
     def left_out(self, fit: Fit) -> F64:
         """(runs,) half the weighted squares of each run, with values and deviations fitted to all the other runs."""
-        found = []
+        found, given = [], replace(self.conditions, about=fit.about)
         for k, (x, causes) in enumerate(self.without_each(fit)):
-            here = self.screen.evidence([self.of_run(fit, causes, k)], (k,), fit.about)
+            here = self.screen.evidence([self.of_run(fit, causes, k)], given, (k,))
             here = here.moved(np.full(len(x), fit.evidence.centre) - here.centre)
             found.append(0.5 * float(here.c[0] - 2 * here.b[0] @ x + x @ here.A[0] @ x))
         return np.array(found)
 
     def spread(self, fit: Fit) -> Fit:
         """The same fit with its covariance from slopes taken at its very values."""
-        with self.beside_those_of(fit):
-            return self._measure(fit.causes, True) if fit.causes else fit
+        return self.under(about=fit.about).measured(fit.causes, True) if fit.causes else fit
 
-    # ------------------------------------------------------------ inside
-
-    def _measure(
+    def measured(
         self,
         causes: Sequence[Cause],
         spread_too: bool = False,
@@ -239,11 +222,11 @@ class Fitter(GaussNewton):
         few: Few = None,
     ) -> Fit:
         """The fit with its evidence, and its covariance if asked for, from `slopes` (of the runs looked at)."""
-        prior, about = self.prior_beside(causes), self.beside(causes)
-        predicted = self._predict(causes)
+        prior, given = self.prior_beside(causes), self.beside(causes)
+        predicted = self.predict(causes)
         if predicted is None:
             raise GapError("the simulator fails with the values found", hint="look at the units of the log")
-        evidence = self.screen.evidence(predicted, None, about)
+        evidence = self.screen.evidence(predicted, given)
         misfit, scale = self.screen.misfit(evidence, prior)
         prior = scale * prior
         z, parameters = values_of(causes), parameters_of(causes)
@@ -253,5 +236,5 @@ class Fitter(GaussNewton):
                 slopes, few = self.slopes(causes, predicted), None
             if slopes is not None:
                 seen = predicted if few is None else [predicted[k] for k in few.runs]
-                covariance = spread(*self._local(prior, self._normal(causes, seen, slopes, few)), parameters)
-        return Fit(tuple(causes), misfit, covariance, tuple(predicted), about, evidence, prior, scale)
+                covariance = spread(*self.local(prior, self.normal(causes, seen, slopes, few)), parameters)
+        return Fit(tuple(causes), misfit, covariance, tuple(predicted), given, evidence, prior, scale)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from realsim.core.types import F64
 from realsim.gap import figures
 from realsim.gap.effects.base import Parameter, Place
 from realsim.gap.effects.lookup import lookup
+from realsim.gap.inference.likelihood.conditions import Conditions
 from realsim.gap.inference.likelihood.linear import Evidence
 from realsim.gap.inference.likelihood.screen import Candidate
 from realsim.gap.simulation.simulate import Setting
@@ -42,14 +44,23 @@ class Fit:
     covariance: F64
     """(m, m) of all values, nuisances marginalised; the larger of model-based and run-to-run."""
     predictions: tuple[F64, ...]
-    """(T, C) a screened run, with the nuisances `about`."""
-    about: F64
-    """(p,) nuisances that were simulated; the others are linear about them."""
+    """(T, C) a screened run."""
+    conditions: Conditions
+    """Under which it was measured."""
     evidence: Evidence
     prior: F64
     """(p,) prior of the nuisances that stay beside these causes, times the scale."""
     scale: float
     """Of all nuisances, at its most probable value."""
+
+    @property
+    def about(self) -> F64:
+        """(p,) nuisance parameters that were simulated."""
+        return self.conditions.about
+
+    def under(self, **changes: Any) -> Fit:
+        """The same, to be compared under other conditions."""
+        return replace(self, conditions=replace(self.conditions, **changes))
 
     def settings(self) -> list[Setting]:
         return [s for c in self.causes for s in c.settings()]

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TypeVar
+from typing import Any, Self, TypeVar
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from realsim.gap import figures
 from realsim.gap.effects.base import Parameter
 from realsim.gap.effects.lookup import lookup
 from realsim.gap.inference.causes.fitted import Cause, Fit, at, parameters_of, values_of
+from realsim.gap.inference.likelihood.conditions import Conditions
 from realsim.gap.inference.likelihood.linear import Evidence, bounded, posterior, scaled
 from realsim.gap.inference.likelihood.screen import Screen
 from realsim.gap.simulation.cores import Recent
@@ -41,16 +42,28 @@ Few = Rough | None
 """What a fit looks at; None: all runs, at the model's own steps."""
 
 
+@dataclass(frozen=True)
 class GaussNewton:
     """Values that bring the misfit on the runs of a screen down."""
 
-    def __init__(self, screen: Screen) -> None:
-        self.screen = screen
-        self.about = np.zeros(len(screen.atoms))
-        """(p,) nuisances that every simulation contains, where linear ones do not do."""
-        self._recent: Recent[list[F64] | None] = Recent(64)
-        """A line search ends where the next slopes begin: no need to simulate it again."""
-        self._rough: Recent[Rough] = Recent(2)
+    screen: Screen
+    conditions: Conditions
+    _recent: Recent[list[F64] | None] = field(default_factory=lambda: Recent(64))
+    """A line search ends where the next slopes begin: no need to simulate it again."""
+    _rough: Recent[Rough] = field(default_factory=lambda: Recent(2))
+
+    @classmethod
+    def of(cls, screen: Screen, onsets: Mapping[str, float] | None = None) -> Self:
+        """Beside no nuisance parameters, under the floor's weights."""
+        return cls(screen, Conditions(np.zeros(len(screen.atoms)), screen.comparison.weights(), onsets or {}))
+
+    def under(self, **changes: Any) -> Self:
+        """The same under other conditions."""
+        return replace(self, conditions=replace(self.conditions, **changes))
+
+    def under_those_of(self, fit: Fit) -> Self:
+        """The same under the conditions that a fit was measured under."""
+        return replace(self, conditions=fit.conditions)
 
     @property
     def evaluations(self) -> int:
@@ -69,11 +82,12 @@ class GaussNewton:
         few = Rough(tuple(range(len(screen.runs))) if every else screen.varied)
         if screen.coarse == 1 or _stiff(here.causes):
             return few
-        of = _key(here.causes), here.about.tobytes(), tuple(screen.simulator.onsets.items()), every
+        onsets = self.conditions.onsets
+        of = _key(here.causes), here.about.tobytes(), tuple(onsets.items()), every
 
         def made() -> Rough:
             settings = [*screen.settings(here.about), *here.settings()]
-            coarse = screen.simulator.simulate(settings, self._runs(few), screen.coarse)
+            coarse = screen.simulator.simulate(settings, self._runs(few), screen.coarse, onsets)
             added = [here.predictions[k] - y for k, y in zip(few.runs, coarse, strict=True)]
             return Rough(few.runs, of, tuple(added)) if all(np.isfinite(y).all() for y in added) else few
 
@@ -85,9 +99,10 @@ class GaussNewton:
         prior[[i for c in causes for i in self.screen.atoms_of(c.candidate)]] = 0.0
         return prior
 
-    def beside(self, causes: Causes) -> F64:
-        """(p,) the simulated nuisances beside these causes."""
-        return np.asarray(np.where(self.prior_beside(causes) > 0, self.about, 0.0))
+    def beside(self, causes: Causes) -> Conditions:
+        """The conditions with those of the simulated nuisances that stay beside these causes."""
+        about = np.where(self.prior_beside(causes) > 0, self.conditions.about, 0.0)
+        return replace(self.conditions, about=about)
 
     def _best_start(self, causes: Causes, starts: Sequence[Sequence[float]], few: Few) -> Causes | None:
         begun = [at(causes, clip(np.array(start, float), parameters_of(causes))) for start in starts]
@@ -103,7 +118,7 @@ class GaussNewton:
         assert misfit is not None
         parameters = parameters_of(causes)
         for k in range(iterations):
-            base, z, before = self._predict(causes, few), values_of(causes), misfit
+            base, z, before = self.predict(causes, few), values_of(causes), misfit
             assert base is not None
             slopes = self.slopes(causes, base, few)
             if slopes is None:
@@ -125,31 +140,32 @@ class GaussNewton:
     def _runs(self, few: Few) -> list[int]:
         return self.screen.runs if few is None else [self.screen.runs[k] for k in few.runs]
 
-    def _predict(self, causes: Causes, few: Few = None) -> list[F64] | None:
+    def predict(self, causes: Causes, few: Few = None) -> list[F64] | None:
         """(T, C) a screened run (of those that are looked at); None if the simulation fails."""
 
         def made() -> list[F64] | None:
-            settings = [*self.screen.settings(self.beside(causes)), *(s for c in causes for s in c.settings())]
-            simulate, runs = self.screen.simulator.simulate, self._runs(few)
+            settings = [*self.screen.settings(self.beside(causes).about), *(s for c in causes for s in c.settings())]
+            simulate, runs, onsets = self.screen.simulator.simulate, self._runs(few), self.conditions.onsets
             try:
                 if few and few.added and not _stiff(causes):  # a stiff law may blow up at coarse steps
-                    coarse = simulate(settings, runs, self.screen.coarse)
+                    coarse = simulate(settings, runs, self.screen.coarse, onsets)
                     found = [y + more for y, more in zip(coarse, few.added, strict=True)]
                     if all(np.isfinite(y).all() for y in found):
                         return found
-                found = simulate(settings, runs)
+                found = simulate(settings, runs, onsets=onsets)
             except GapError:
                 return None
             return found if all(np.isfinite(y).all() for y in found) else None
 
-        return self._recent.get((_key(causes), few, self.about.tobytes()), made)
+        key = _key(causes), few, self.conditions.about.tobytes(), tuple(self.conditions.onsets.items())
+        return self._recent.get(key, made)
 
     def misfit(self, causes: Causes, few: Few = None) -> float | None:
         """Of causes at their very values, on the runs that are looked at; None if the robot falls."""
-        predicted = self._predict(causes, few)
+        predicted = self.predict(causes, few)
         if predicted is None:
             return None
-        evidence = self.screen.evidence(predicted, few.runs if few else None, self.beside(causes))
+        evidence = self.screen.evidence(predicted, self.beside(causes), few.runs if few else None)
         return self.screen.misfit(evidence, self.prior_beside(causes))[0]
 
     def slopes(self, causes: Causes, base: Sequence[F64], few: Few = None) -> list[F64] | None:
@@ -162,7 +178,7 @@ class GaussNewton:
             for change in (far, -far):
                 if not p.bounds[0] <= z[j] + change <= p.bounds[1]:
                     continue
-                moved = self._predict(at(causes, z + change * (np.arange(len(z)) == j)), few)
+                moved = self.predict(at(causes, z + change * (np.arange(len(z)) == j)), few)
                 if moved is not None:
                     runs = zip(self._runs(few), moved, base, strict=True)
                     return [self.screen.comparison.change(run, m, y).reshape(-1) / change for run, m, y in runs]
@@ -173,20 +189,20 @@ class GaussNewton:
             return None
         return [np.stack(columns, axis=1) for columns in zip(*found, strict=True)]
 
-    def _normal(self, causes: Causes, base: Sequence[F64], slopes: list[F64], few: Few = None) -> Evidence:
+    def normal(self, causes: Causes, base: Sequence[F64], slopes: list[F64], few: Few = None) -> Evidence:
         """Normal equations of nuisances and, behind them, values: a run each, about `base`."""
-        about = self.beside(causes)
-        evidence = self.screen.evidence(base, few.runs if few else None, about)
+        given = self.beside(causes)
+        evidence = self.screen.evidence(base, given, few.runs if few else None)
         A, b = [], []
         for i, (k, y, D) in enumerate(zip(evidence.runs, base, slopes, strict=True)):
-            w = self.screen.comparison.weights[self.screen.runs[k]].reshape(-1)
-            r = np.nan_to_num(self.screen.residual(k, y, evidence.centre - about)).reshape(-1)
+            w = given.weights.of[self.screen.runs[k]].reshape(-1)
+            r = np.nan_to_num(self.screen.residual(k, y, evidence.centre - given.about)).reshape(-1)
             across = self.screen.weighted(k).T @ D
             A.append(np.block([[evidence.A[i], across], [across.T, D.T @ (w[:, None] * D)]]))
             b.append(np.append(evidence.b[i], D.T @ (w * r)))
         return replace(evidence, A=A, b=b)
 
-    def _local(self, prior: F64, evidence: Evidence) -> tuple[F64, F64]:
+    def local(self, prior: F64, evidence: Evidence) -> tuple[F64, F64]:
         """Marginal information (m, m) and the scores (runs, m) of these normal equations, beside nuisances."""
         A, b, p = np.sum(evidence.A, axis=0), np.sum(evidence.b, axis=0), len(prior)
         mean, free = bounded(A[:p, :p], b[:p], prior, figures.REASONABLE * prior)
@@ -196,7 +212,7 @@ class GaussNewton:
 
     def _steps(self, causes: Causes, base: list[F64], slopes: list[F64], damping: float, few: Few) -> list[F64]:
         """Steps to try: that of all runs, and that of the better half."""
-        looks = self._normal(causes, base, slopes, few).looks()
+        looks = self.normal(causes, base, slopes, few).looks()
         return [self._step(causes, look, damping) for look in looks]
 
     def _step(self, causes: Causes, evidence: Evidence, damping: float) -> F64:
@@ -204,7 +220,7 @@ class GaussNewton:
         its bound stays there."""
         parameters, z = parameters_of(causes), values_of(causes)
         prior = _beside_free(evidence, self.prior_beside(causes), [p.step for p in parameters])
-        info, scores = self._local(prior, evidence)
+        info, scores = self.local(prior, evidence)
         gradient = scores.sum(axis=0)
         low, high = np.array([p.bounds for p in parameters]).T
         free = ~(((z <= low) & (gradient < 0)) | ((z >= high) & (gradient > 0)))

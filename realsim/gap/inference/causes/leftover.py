@@ -29,10 +29,9 @@ def nuisance_settings(screen: Screen, fit: Fit, scale: float = 1.0) -> list[Sett
 
 def leftover(screen: Screen, fit: Fit) -> F64:
     """(runs,) mean square in units of the tolerance that stays beside causes and everyday deviations."""
-    tolerance = screen.comparison.tolerance
-    return np.array(
-        [float(np.nanmean(r**2 / tolerance(run))) for run, r in zip(screen.runs, rests(screen, fit), strict=True)]
-    )
+    rows = zip(screen.runs, rests(screen, fit), strict=True)
+    tolerance, weights = screen.comparison.tolerance, fit.conditions.weights
+    return np.array([float(np.nanmean(r**2 / tolerance(run, weights))) for run, r in rows])
 
 
 def rests(screen: Screen, fit: Fit) -> list[F64]:

@@ -96,7 +96,7 @@ def _sized(fitter: Fitter, here: Fit, candidate: Candidate, estimate: F64) -> tu
         zip(candidate.linear, estimate / size if size > 1e-3 else steps * (np.arange(len(steps)) == 0), strict=True)
     )
 
-    before, few = searched(fitter.screen, here), fitter.rough(here)
+    before, few = searched(fitter, here), fitter.rough(here)
 
     def cause(factor: float) -> Cause:
         return Cause(candidate, tuple(p.default + factor * float(unit.get(p.name, 0.0)) for p in candidate.parameters))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -31,14 +32,16 @@ Held = tuple[float, float]
 """(mean, standard error) of a gain on runs that are left out in turn."""
 
 
-def score(screen: Screen, fit: Fit) -> float:
+def score(fitter: Fitter, fit: Fit) -> float:
     """Penalised misfit of a set in nats, lower is better: half the weighted squares that stay beside the nuisance
     parameters, and the price of causes, of parameters that the data determine, of shared values and of rare effects.
     Where deviations leave a gap there is a cause, and the first one costs what it takes to say which."""
-    total = fit.misfit + figures.PRICE * determined(fit)
+    screen, total = fitter.screen, fit.misfit + figures.PRICE * determined(fit)
     if fit.causes:
         dear = figures.CAUSE + figures.CAUSE_A_JOINT * len(screen.simulator.case.joint_names)
-        total += (float(np.log(len(screen.candidates))) if screen.gap else dear) + (len(fit.causes) - 1) * dear
+        total += (float(np.log(len(screen.candidates))) if fitter.conditions.gap else dear) + (
+            len(fit.causes) - 1
+        ) * dear
     total += figures.SHARED * sum(len(c.candidate.places) > 1 for c in fit.causes)
     return total + figures.PRICE * sum(lookup(c.candidate.effect).rivals.commoner is not None for c in fit.causes)
 
@@ -54,15 +57,15 @@ def determined(fit: Estimated) -> float:
     return float(np.clip(1 - np.diag(fit.covariance) / sizes**2, 0.0, 1.0).sum())
 
 
-def asked(screen: Screen, before: Fit) -> float:
+def asked(fitter: Fitter, before: Fit) -> float:
     """Nats by which one more cause must lower the score of a set: clearly, and beside others by a share of what is no
     noise, since each of them leaves a little that a wrong one can bend to. Feet that slip and land differ from a
     simulator's by many nats whatever stays, so there it is a share of all, for a first cause, too. Where deviations
     leave a gap, the likeliest first cause is looked at: the check says whether it is one."""
-    touches = screen.simulator.context.touches
-    if not before.causes and (screen.gap or not touches):
-        return 0.0 if screen.gap else figures.CLEARLY
-    noise = 0.0 if touches else 1 / max(leftover(screen, before).mean(), 1.0)
+    gap, touches = fitter.conditions.gap, fitter.screen.simulator.context.touches
+    if not before.causes and (gap or not touches):
+        return 0.0 if gap else figures.CLEARLY
+    noise = 0.0 if touches else 1 / max(leftover(fitter.screen, before).mean(), 1.0)
     return max(figures.CLEARLY, figures.SHARE * before.misfit * (1 - noise))
 
 
@@ -76,7 +79,7 @@ def doubts(fitter: Fitter, before: Fit, after: Fit) -> tuple[list[str], Held | N
         needed = held is None or _holds(*held)
         return [] if needed else ["runs left out in turn do not need the richer law"], held
     found = []
-    gain, least = score(fitter.screen, before) - score(fitter.screen, after), asked(fitter.screen, before)
+    gain, least = score(fitter, before) - score(fitter, after), asked(fitter, before)
     gain -= bent(before, after) if before.causes else 0.0  # beside others it would bend their values, too
     if gain < least:
         found.append(f"gains {gain:.1f} nats, must gain {least:.1f}")
@@ -106,7 +109,7 @@ def _holds(mean: float, error: float) -> bool:
 def alike(fitter: Fitter, best: Fit, rival: Fit, removed: float) -> bool:
     """Whether the runs do not tell a rival from the best set, of which `removed` is the gain over no cause."""
     screen = fitter.screen
-    loss = score(screen, rival) - score(screen, best)
+    loss = score(fitter, rival) - score(fitter, best)
     if _kinds(screen, best) == _kinds(screen, rival):  # between the steps of a simulator, not even twins are the same
         return True
     if loss < figures.CLEARLY or loss >= figures.EQUAL * removed:
@@ -126,8 +129,9 @@ def near(gain: float) -> float:
     return max(figures.NEAR_SHARE * gain, figures.NEAR) if np.isfinite(gain) else np.inf
 
 
-def searched(screen: Screen, fit: Fit) -> float:
+def searched(fitter: Fitter, fit: Fit) -> float:
     """Misfit on the runs that a rough fit looks at."""
-    few = screen.varied
+    screen, few = fitter.screen, fitter.screen.varied
+    given = replace(fitter.conditions, about=fit.about)
     seen = fit.predictions if few is None else [fit.predictions[k] for k in few]
-    return screen.misfit(screen.evidence(seen, few, fit.about), fit.prior / fit.scale)[0]
+    return screen.misfit(screen.evidence(seen, given, few), fit.prior / fit.scale)[0]

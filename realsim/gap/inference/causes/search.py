@@ -58,16 +58,22 @@ class Search:
             better = (new and (self._dropped() or self._moved(EXCHANGE))) or (
                 self._calls_for_more() and self._moved(ADD)
             )
-        self.best = self.fitter.prepared(self.best)
+        self._prepare()
         if self.best.causes:  # what was found on some of the runs, on all of them
             self.best = self.fitter.fit(self.best.causes) or self.best
             self._keep(self.best)
+
+    def _prepare(self) -> Fit:
+        """The best set under weights for what it leaves, which hold for all that is looked at beside it."""
+        self.best = self.fitter.prepared(self.best)
+        self.fitter = self.fitter.under_those_of(self.best)
+        return self.best
 
     def _hopeless(self, left: F64) -> bool:
         """Whether nothing in the library fits: with all the causes that a set may have, each as good as those so far,
         it would still not remove the share of the gap above the floor that causes must to be named."""
         if not self.best.causes:
-            self.gap, self.fitter.screen.gap = max(left.mean() - 1, 0.0), is_gap(left)
+            self.gap, self.fitter = max(left.mean() - 1, 0.0), self.fitter.under(gap=is_gap(left))
             return False
         stays = (left.mean() - 1) / self.gap if self.gap else 0.0
         return bool(max(stays, 0.0) ** (self.most / len(self.best.causes)) > 1 - figures.NAMED_SHARE)
@@ -77,14 +83,13 @@ class Search:
         wrong causes were found as right ones (one each), in the time of the first search."""
         if not (self.best.causes and self.fitter.screen.simulator.context.touches):
             return True
-        self.best = self.fitter.prepared(self.best)
-        return is_gap(leftover(self.fitter.screen, self.best))
+        return is_gap(leftover(self.fitter.screen, self._prepare()))
 
     def _dropped(self) -> bool:
         """Whether a cause is superfluous beside the others; the one that brings least is looked at first."""
         if len(self.best.causes) < 2:
             return False
-        self.best = here = self.fitter.prepared(self.best)
+        here = self._prepare()
         few = self.fitter.rough(here, every=True)
         fits = [self.fitter.fit(here.causes[:i] + here.causes[i + 1 :], few=few) for i in range(len(here.causes))]
         for less in sorted((f for f in fits if f is not None), key=self._score):
@@ -98,16 +103,16 @@ class Search:
         further = moves is ADD
         if len(self.best.causes) == (self.most if further else 0):
             return False
-        screen, self.best = self.fitter.screen, self.fitter.prepared(self.best)
-        here = self.best
+        screen, here = self.fitter.screen, self._prepare()
         if screen.simulator.context.touches and not here.causes:  # now deviations are simulated: do they leave a gap?
-            screen.gap = is_gap(leftover(screen, here))
+            here = self.best = here.under(gap=is_gap(leftover(screen, here)))
+            self.fitter = self.fitter.under_those_of(here)
         fits, few = list[Fit](), self.fitter.rough(here) if further else None
         proposed, at_once = self._proposed(moves, here), 1
         while now := list(islice(proposed, at_once)):
             # Of many further causes each is looked at roughly; what would not catch up with the best is broken off.
-            least = min((searched(screen, f) for f in fits), default=np.inf) if further else here.misfit
-            before = searched(screen, here) if further else self.seen[frozenset()].misfit
+            least = min((searched(self.fitter, f) for f in fits), default=np.inf) if further else here.misfit
+            before = searched(self.fitter, here) if further else self.seen[frozenset()].misfit
             target = least + near(before - least)
             found = self.fitter.each(partial(self._fitted, few=few, target=target), now)
             for p, fit in zip(now, found, strict=True):
@@ -120,6 +125,7 @@ class Search:
                     self.trials.append(Trial(c.candidate, len(here.causes), p.foretold, gain=gain, values=c.values))
             at_once = figures.AT_ONCE if screen.slow else 1
         here, fits = second_look(self.fitter, here, sorted(fits, key=self._score))
+        self.fitter = self.fitter.under_those_of(here)
         for fit in fits:
             self._keep(fit)
         return self._better(here, fits)
@@ -139,8 +145,8 @@ class Search:
     def _better(self, before: Fit, fits: Sequence[Fit]) -> bool:
         """Whether one of the fits takes the place of the best set; beside no gap one that imitates only where no other
         may."""
-        least = figures.CLEARLY if before.causes else asked(self.fitter.screen, before)
-        gap = self.fitter.screen.gap
+        least = figures.CLEARLY if before.causes else asked(self.fitter, before)
+        gap = self.fitter.conditions.gap
         for fit in sorted(fits, key=lambda f: (not gap and imitates(f), self._score(f) + bent(before, f))):
             if self._score(before) - self._score(fit) < least:
                 continue
@@ -166,12 +172,12 @@ class Search:
             self.seen[fit.key] = fit
 
     def _score(self, fit: Fit) -> float:
-        return score(self.fitter.screen, fit)
+        return score(self.fitter, fit)
 
 
 def second_look(fitter: Fitter, here: Fit, fits: Sequence[Fit]) -> tuple[Fit, list[Fit]]:
     """(a set, its best neighbours) under weights for what the best one leaves: beside a large gap every one looks good
-    enough. Each stands beside its own everyday deviations.
+    enough. Each is beside its own everyday deviations; the conditions of the set hold for what follows.
 
     Args:
         fits: neighbours of the set `here`, the lowest score first.
@@ -180,20 +186,20 @@ def second_look(fitter: Fitter, here: Fit, fits: Sequence[Fit]) -> tuple[Fit, li
     if not fits or not screen.crowded:
         return here, list(fits)  # few deviations hide nothing: slopes tell them from causes
     if not is_gap(leftover(screen, here)):  # weights hardly change: only what comes near can win
-        least = asked(screen, here) if len(fits[0].causes) > len(here.causes) else figures.CLEARLY
-        before = score(screen, here)
-        fits = [f for f in fits if before - score(screen, f) + near(here.misfit - f.misfit) > least]
+        least = asked(fitter, here) if len(fits[0].causes) > len(here.causes) else figures.CLEARLY
+        before = score(fitter, here)
+        fits = [f for f in fits if before - score(fitter, f) + near(here.misfit - f.misfit) > least]
         if not fits:
             return here, []
     # Of each effect its best place, or places of one effect would be all that is looked at.
     ways = {tuple(c.candidate.effect for c in f.causes): f for f in reversed(fits)}
-    best = sorted(ways.values(), key=lambda f: score(screen, f))[: figures.PLACES]
+    best = sorted(ways.values(), key=partial(score, fitter))[: figures.PLACES]
     settled = [fitter.settled(f) for f in (here, *best)]
-    fitter.reweighted(min(settled[1:], key=lambda f: score(screen, f)))
+    fitter = fitter.under(weights=fitter.reweighted(min(settled[1:], key=partial(score, fitter))).conditions.weights)
     # Deviations have many optima, above all where feet land: the set itself may have those that its neighbours found.
     heres = [settled[0], *filter(None, (fitter.beside_those(f, here) for f in settled[1:]))]
     here = min(map(fitter.remeasure, heres), key=lambda f: f.misfit)
     if not here.causes:  # beside those there may be no gap
-        screen.gap = is_gap(leftover(screen, here))
+        here = here.under(gap=is_gap(leftover(screen, here)))
     again = map(fitter.remeasure, settled[1:])
-    return here, sorted(again, key=lambda f: score(screen, f))
+    return here, sorted(again, key=partial(score, fitter.under_those_of(here)))

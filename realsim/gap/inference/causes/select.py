@@ -27,13 +27,16 @@ class Selection:
     gains: dict[int, float]
     """Loss in log-likelihood without cause i of the fit."""
     notes: list[str]
+    fitter: Fitter
+    """Under the conditions that all of them are compared under."""
 
 
-def select(screen: Screen, fitter: Fitter, config: DiagnoseConfig, tick: Tick = lambda what, share: None) -> Selection:
+def select(fitter: Fitter, config: DiagnoseConfig, tick: Tick = lambda what, share: None) -> Selection:
     """Causes of the gap on the screened runs."""
     nothing = fitter.with_likelier_solver(fitter.nominal())
-    search = Search(fitter, config.max_causes, nothing)
+    search = Search(fitter.under_those_of(nothing), config.max_causes, nothing)
     search.run(tick)
+    fitter = search.fitter
     nominal = fitter.looked_at(nothing, ()) or nothing
     best, equivalent = _alike(search, nominal)
     if (apart := by_joint(fitter, best)) is not None:
@@ -45,10 +48,12 @@ def select(screen: Screen, fitter: Fitter, config: DiagnoseConfig, tick: Tick = 
         less = fitter.fit(rest, few=fitter.rough(best, every=True)) if rest else nominal
         gains[i] = less.misfit - best.misfit if less is not None else 0.0
     if best.causes:
-        best, nominal = fitter.spread(fitter.reweighted(best)), fitter.remeasure(nominal)
-    if len(screen.runs) == 1 and best.causes:
+        best = fitter.reweighted(best)
+        fitter = fitter.under(weights=best.conditions.weights)
+        best, nominal = fitter.spread(best), fitter.remeasure(nominal)
+    if len(fitter.screen.runs) == 1 and best.causes:
         search.notes.append("a single run: no cause could be held against a run that is left out")
-    return Selection(best, nominal, search.trials, equivalent, gains, search.notes)
+    return Selection(best, nominal, search.trials, equivalent, gains, search.notes, fitter)
 
 
 def by_joint(fitter: Fitter, fit: Fit) -> Fit | None:
@@ -93,16 +98,16 @@ def _alike(search: Search, nominal: Fit) -> tuple[Fit, list[Fit]]:
         min(fitter.fit(f.causes, (), 3, fitter.rough(f, every=True)) or f, f, key=lambda f: f.misfit) for f in others
     ]
     same = [best, *(f for f in others if alike(fitter, best, f, removed))]
-    best, *rest = _in_order(fitter.screen, same)
+    best, *rest = _in_order(fitter, same)
     return fitter.spread(best), rest
 
 
-def _in_order(screen: Screen, same: Sequence[Fit]) -> list[Fit]:
+def _in_order(fitter: Fitter, same: Sequence[Fit]) -> list[Fit]:
     """The lowest score first, those that imitate last; without laws that hold another one with a lower score as a
     special case, which always fit as well. What holds another one as a special case comes after it: runs that were left
     out need no more."""
     kept: list[Fit] = []
-    for fit in sorted(same, key=lambda f: (imitates(f), score(screen, f))):
+    for fit in sorted(same, key=lambda f: (imitates(f), score(fitter, f))):
         if not any(_richer(fit, better) for better in kept):
             kept.append(fit)
     order = list[Fit]()

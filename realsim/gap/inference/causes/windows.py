@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,9 +32,8 @@ class Clock:
         return (start, end) if self.latest == np.inf else (start - figures.BRIEF, end - start)
 
 
-def clocks(screen: Screen) -> list[Clock]:
+def clocks(screen: Screen, onsets: Mapping[str, float]) -> list[Clock]:
     """The runs' own time; and since something sudden began in them, where it does."""
-    onsets = screen.simulator.onsets
     names = [screen.simulator.case.runs[r].name for r in screen.runs]
     since = {k: onsets[n] - figures.BRIEF for k, n in enumerate(names) if n in onsets}
     own = Clock(dict.fromkeys(range(len(screen.runs)), 0.0), ("start", "end"))
@@ -49,7 +49,7 @@ def window_candidates(screen: Screen, fit: Fit, most: int = 2) -> list[tuple[flo
     """
     left, weights = _left(screen, fit)
     chosen, always = [], dict[tuple[str, Place], float]()
-    for clock in clocks(screen):
+    for clock in clocks(screen, fit.conditions.onsets):
         found = []
         for name, place in dict.fromkeys((a.effect, a.place) for a in screen.atoms if lookup(a.effect).law.passing):
             candidate, index = _candidate(screen, name, place, clock.edges)
@@ -75,7 +75,7 @@ def _candidate(screen: Screen, name: str, place: Place, edges: tuple[str, ...]) 
 
 def _left(screen: Screen, fit: Fit) -> tuple[list[F64], list[F64]]:
     left = rests(screen, fit)
-    weights = [screen.comparison.weights[run] for run in screen.runs]
+    weights = [fit.conditions.weights.of[run] for run in screen.runs]
     weights = [np.where(np.isfinite(r), w, 0.0) for r, w in zip(left, weights, strict=True)]
     return [np.nan_to_num(r) for r in left], weights
 

@@ -6,7 +6,7 @@ in proportion to time is a delay or a wrong velocity; one that grows with its sq
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -60,15 +60,21 @@ class Shots:
         }
 
 
-def shoot(simulator: Simulator, settings: Sequence[Setting] = (), runs: Sequence[int] | None = None) -> Shots:
+def shoot(
+    simulator: Simulator,
+    settings: Sequence[Setting] = (),
+    runs: Sequence[int] | None = None,
+    onsets: Mapping[str, float] | None = None,
+) -> Shots:
     """Predict from estimated states with the nominal simulator, or with one that `settings` change.
 
     Args:
         runs: indices into the case's runs, all if None.
+        onsets: see `Simulator.edited`.
     """
     case = simulator.case
     chosen = list(range(len(case.runs))) if runs is None else list(runs)
-    edit = simulator.edited(settings)
+    edit = simulator.edited(settings, onsets)
     models = {setup: edit.set_up(setup).compile() for setup in {case.runs[i].setup for i in chosen}}
     model = models[case.runs[chosen[0]].setup]
     dt = float(model.opt.timestep)
@@ -83,7 +89,7 @@ def shoot(simulator: Simulator, settings: Sequence[Setting] = (), runs: Sequence
         run = case.runs[i]
         model = models[run.setup]
         reach = int(np.ceil((run.duration + seconds[-1]) / dt)) + count
-        commands = controls(simulator.context, model, run, edit, reach, 0, simulator.onsets)
+        commands = controls(simulator.context, model, run, edit, reach, 0)
         off = switched_off(case, model, run, edit, reach, 0)
         for n in starts:
             first = max(round((float(motion.time[n]) - late) / dt), 0)

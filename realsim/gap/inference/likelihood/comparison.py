@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cache
 
 import numpy as np
@@ -56,6 +55,16 @@ class Noise:
     """(C,) standard deviation of slow structure that is no gap."""
 
 
+@dataclass(frozen=True, eq=False)
+class Weights:
+    """How much each error counts."""
+
+    of: tuple[F64, ...]
+    """(B, C) a run: one over the variance that is expected; 0 where there is no sample."""
+    form: Mapping[int, F64] = field(default_factory=dict)
+    """Run -> (B, C) root mean square that the form of the causes leaves open."""
+
+
 class Comparison:
     """Log against simulator on regular bins. Residuals are (B, C) a run, in the units of the channels."""
 
@@ -66,8 +75,10 @@ class Comparison:
         nominal: Sequence[F64],
         config: DiagnoseConfig,
         runs: Sequence[int] | None = None,
+        noise: Noise | None = None,
     ) -> None:
-        """`runs`: those that the noise floor and what parts are judged by; all if None."""
+        """`runs`: those that the noise floor and what parts are judged by; all if None. `noise`: another log's floor,
+        that errors count against."""
         self.case, self.channels, self.config = case, tuple(channels), config
         self._starts, self._counts, self._values, self.times = [], [], [], []
         self._valid, self._phase = [], []
@@ -91,10 +102,8 @@ class Comparison:
         self.noise = self._floor(nominal, known)
         self.parted = self._part(nominal, known)
         """Run -> seconds from which robot and simulator have parted for good (a fall, a slip); left out from there."""
-        self.version = 0
+        self.noise = noise or self.noise
         self._correlation = [np.full((len(times), 1), CORRELATION) for times in self.times]
-        self._form: dict[int, F64] = {}
-        self.set_detail([self.noise.detail for _ in case.runs])
 
     def _part(self, nominal: Sequence[F64], known: Sequence[int]) -> dict[str, float]:
         """Time from which a floating robot's error is large for good: chaos, not evidence."""
@@ -151,7 +160,6 @@ class Comparison:
             fit = np.linalg.pinv(root[rows].reshape(-1, 1) * there, rcond=1e-6) * root[rows].reshape(-1)
             self._free[run].append((rows, there, fit))
             self._correlation[run][rows] = correlated(int(rows.sum()))
-        self.set_detail([self.noise.detail for _ in self.case.runs])
 
     def expect(self, run: int, slopes: F64, parts: NDArray[np.int64]) -> None:
         """Let something unknown act in each part, steadily and independently: what it explains counts for as little as
@@ -172,7 +180,6 @@ class Comparison:
         self._correlation[run][:] = (
             CORRELATION  # answers to what is unknown are slow structure that no start takes over
         )
-        self.set_detail([self.noise.detail for _ in self.case.runs])
 
     def _beside_starts(self, run: int, values: F64) -> F64:
         """(B, C) without what the states that the parts of the run begin in explain."""
@@ -181,26 +188,15 @@ class Comparison:
             values[rows] = (flat - slopes @ (fit @ flat)).reshape(values[rows].shape)
         return values
 
-    def set_detail(self, detail: Sequence[F64]) -> None:
-        """Set the size of slow structure, (C,) or (B, C) a run, and with it the weights."""
-        self.weights = []
-        for i, d in enumerate(detail):
-            self.weights.append(1.0 / (self.variance(i) + self._correlation[i] * d**2))
-            self.weights[i][self._counts[i] == 0] = 0.0
-        self.version += 1
+    def weights(self, detail: Sequence[F64] | None = None, form: Mapping[int, F64] | None = None) -> Weights:
+        """Weights against slow structure of this size, (C,) or (B, C) a run; that of the floor if None."""
+        sizes = [self.noise.detail for _ in self.case.runs] if detail is None else detail
+        variances = [self.variance(i) + self._correlation[i] * d**2 for i, d in enumerate(sizes)]
+        return Weights(
+            tuple(np.where(n > 0, 1.0 / v, 0.0) for n, v in zip(self._counts, variances, strict=True)), form or {}
+        )
 
-    @contextmanager
-    def allowing(self, detail: F64) -> Iterator[None]:
-        """Errors in here count against slow structure of this size, (C,)."""
-        kept = self.weights
-        self.set_detail([detail for _ in kept])
-        try:
-            yield
-        finally:
-            self.weights = kept
-            self.version += 1
-
-    def temper(self, runs: Sequence[int], simulated: Sequence[F64], nominal: Sequence[F64], form: float) -> None:
+    def tempered(self, runs: Sequence[int], simulated: Sequence[F64], nominal: Sequence[F64], form: float) -> Weights:
         """Weigh errors against the gap that is still there: a model that explains most of it is good enough for now.
 
         Without this, a large gap would be fitted by absurd values of many small deviations, because sensors are so
@@ -208,12 +204,12 @@ class Comparison:
         and what the `form` of the causes leaves open: a few per cent of what they have changed.
         """
         detail: list[F64] = [self.noise.detail for _ in self.case.runs]
-        self._form = {}
+        missed = {}
         for run, y, y0 in zip(runs, simulated, nominal, strict=True):
-            self._form[run] = form * self._local(self.change(run, y, y0))
+            missed[run] = form * self._local(self.change(run, y, y0))
             left = TEMPER * self._local(np.nan_to_num(self.residual(run, y)))
-            detail[run] = np.sqrt(self.noise.detail**2 + left**2 + self._form[run] ** 2)
-        self.set_detail(detail)
+            detail[run] = np.sqrt(self.noise.detail**2 + left**2 + missed[run] ** 2)
+        return self.weights(detail, missed)
 
     def _local(self, values: F64) -> F64:
         """(B, C) root mean square over about a second."""
@@ -232,9 +228,9 @@ class Comparison:
         """(B, C) mean square that a perfect diagnosis would leave: sensors and detail."""
         return self.variance(run) + self.noise.detail**2
 
-    def tolerance(self, run: int) -> F64:
-        """(B, C) mean square that the causes named so far may leave: the floor, and what their form leaves open."""
-        return self.floor(run) + self._form.get(run, np.zeros(1)) ** 2
+    def tolerance(self, run: int, weights: Weights) -> F64:
+        """(B, C) mean square that causes may leave: the floor, and what their form leaves open."""
+        return self.floor(run) + weights.form.get(run, np.zeros(1)) ** 2
 
     # ------------------------------------------------------------ inside
 

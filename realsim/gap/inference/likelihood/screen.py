@@ -8,7 +8,7 @@ selection needs is in A = G'WG, b = G'Wr, c = r'Wr of each run.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import zip_longest
 from typing import Any
@@ -23,7 +23,8 @@ from realsim.gap.effects import EFFECTS, ON_REQUEST
 from realsim.gap.effects.base import Effect, Parameter, Place
 from realsim.gap.effects.lookup import SINCE, lookup
 from realsim.gap.effects.nuisances import MANY_JOINTS, NUISANCES
-from realsim.gap.inference.likelihood.comparison import Comparison
+from realsim.gap.inference.likelihood.comparison import Comparison, Weights
+from realsim.gap.inference.likelihood.conditions import Conditions
 from realsim.gap.inference.likelihood.linear import Evidence, Spectrum, scaled
 from realsim.gap.simulation.cores import Recent
 from realsim.gap.simulation.simulate import Setting, Simulator
@@ -78,6 +79,7 @@ class _Point:
     """Where slopes are taken."""
 
     settings: tuple[Setting, ...]
+    onsets: Mapping[str, float]
     runs: tuple[int, ...]
     """Positions among the screened runs."""
     base: list[F64]
@@ -101,9 +103,9 @@ class Screen:
         """`since`: candidates are changes that the later one of two logs has; each may come and go in small, too."""
         self.simulator, self.comparison, self.runs = simulator, comparison, list(runs)
         self.skipped: dict[str, str] = {}
-        self.gap = False
-        """Whether everyday deviations alone leave a gap; the search finds out."""
         self._version = -1
+        """Of the weights and slopes that the normal matrices are made of."""
+        self._by: Weights | None = None
         self._seen_beside: set[tuple[str, Place]] = set()
         """(effect, place) of the causes that move the robot otherwise, about which slopes were taken last."""
         self._about: Recent[list[F32] | None] = Recent(2)
@@ -149,7 +151,7 @@ class Screen:
         base = simulator.simulate(runs=self.runs, coarse=self.coarse)
         if not all(np.isfinite(y).all() for y in base):  # stiff servos may not bear it
             self.coarse, base = 1, simulator.simulate(runs=self.runs)
-        point = _Point((), tuple(range(len(self.runs))), base, self.nominal)
+        point = _Point((), {}, tuple(range(len(self.runs))), base, self.nominal)
         self.trees = self._apart(wanted, point)
         """Joint or body -> its kinematic tree, where none of them feels another one."""
         changes = self._slopes(wanted, point, lambda share: tick("sensitivities", share))
@@ -193,7 +195,7 @@ class Screen:
         order = np.argsort([float(np.abs(np.diff(c, axis=0)).sum() / len(c)) for c in commands])
         return tuple(int(order[i]) for i in np.linspace(0, len(order) - 1, count).round().astype(int))
 
-    def relinearise(self, settings: Sequence[Setting]) -> None:
+    def relinearise(self, settings: Sequence[Setting], conditions: Conditions) -> None:
         """Take all slopes anew about these causes: a robot that moves otherwise answers otherwise.
 
         Those of the causes themselves stay. What does next to nothing there, or cannot be simulated, explains nothing.
@@ -203,15 +205,15 @@ class Screen:
         if moving == self._seen_beside:
             return
         # The search often comes back to a set, with values that differ a little.
-        columns = self._about.get(frozenset(moving), lambda: self._taken_about(settings))
+        columns = self._about.get(frozenset(moving), lambda: self._taken_about(settings, conditions))
         if columns is not None:
-            self._columns, self._seen_beside = columns, moving
-            self.comparison.version += 1
+            self._columns, self._seen_beside, self._by = columns, moving, None
 
-    def _taken_about(self, settings: Sequence[Setting]) -> list[F32] | None:
+    def _taken_about(self, settings: Sequence[Setting], conditions: Conditions) -> list[F32] | None:
         """The columns with slopes about these causes; None if they cannot be simulated."""
-        there = self.simulator.simulate(settings, runs=self.runs)
-        base = self.simulator.simulate(settings, runs=self.runs, coarse=self.coarse) if self.coarse > 1 else there
+        simulate, onsets = self.simulator.simulate, conditions.onsets
+        there = simulate(settings, self.runs, onsets=onsets)
+        base = simulate(settings, self.runs, self.coarse, onsets) if self.coarse > 1 else there
         if not all(np.isfinite(y).all() for y in (*there, *base)):
             return None
         found = [c.copy() for c in self._columns]
@@ -226,17 +228,18 @@ class Screen:
         # Where simulating takes long, the liveliest run tells which slopes are as they were.
         first = every if self.varied is None else self.varied[-1:]
         for runs in (first, tuple(k for k in every if k not in first)):
-            point = _Point(tuple(settings), runs, [base[k] for k in runs], [there[k] for k in runs])
+            point = _Point(tuple(settings), onsets, runs, [base[k] for k in runs], [there[k] for k in runs])
             changes = self._slopes([self.atoms[i] for i in others], point) if runs else []
             for i, change in zip(others, changes, strict=False):
                 for n, k in enumerate(runs):
                     found[k][:, i] = change[n] if change else 0.0
-            others = [i for i in others if any(self._turned(k, i, found[k][:, i]) for k in runs)]
+            weights = conditions.weights
+            others = [i for i in others if any(self._turned(k, i, found[k][:, i], weights) for k in runs)]
         return found
 
-    def _turned(self, k: int, i: int, slope: F32) -> bool:
+    def _turned(self, k: int, i: int, slope: F32, weights: Weights) -> bool:
         """Whether the slope of an atom on screened run k is another one than before."""
-        root, old = np.sqrt(self.comparison.weights[self.runs[k]].reshape(-1)), self._columns[k][:, i]
+        root, old = np.sqrt(weights.of[self.runs[k]].reshape(-1)), self._columns[k][:, i]
         return bool(np.linalg.norm(root * (slope - old)) > figures.TURNED * np.linalg.norm(root * old))
 
     def _slopes(
@@ -328,7 +331,7 @@ class Screen:
         coarse, base = (1, point.fine) if _at_own_step(atoms[0]) else (self.coarse, point.base)
         runs = [self.runs[k] for k in point.runs]
         try:
-            moved = self.simulator.simulate([*point.settings, *moves], runs, coarse)
+            moved = self.simulator.simulate([*point.settings, *moves], runs, coarse, point.onsets)
         except GapError:
             return None
         if not all(np.isfinite(m).all() for m in moved):
@@ -342,22 +345,23 @@ class Screen:
         return [c.reshape(-1).astype(np.float32) for c in change] if size >= 0.05 else None
 
     def evidence(
-        self, simulated: Sequence[F64], few: tuple[int, ...] | None = None, about: F64 | float = 0.0
+        self, simulated: Sequence[F64], conditions: Conditions, few: tuple[int, ...] | None = None
     ) -> Evidence:
         """Normal equations of the residual about these predictions: one a screened run (or one of the `few`).
 
-        `about`: (p,) the small deviations that are in the predictions already; x counts from their centre all the same,
-        the likelier one where there are two.
+        Small deviations count from their centre also where they are in the predictions already; from the likelier one
+        where there are two.
         """
+        weights = conditions.weights
         with self._lock:
-            if self._version != self.comparison.version:
-                self._weigh()
+            if self._by is not weights:
+                self._weigh(weights)
         b, c = [], []
         which = range(len(self.runs)) if few is None else few
         for k, y in zip(which, simulated, strict=True):
             run, GW = self.runs[k], self._weighted[k]
-            r = self.residual(k, y, -np.asarray(about))
-            W = np.where(np.isfinite(r), self.comparison.weights[run], 0.0)
+            r = self.residual(k, y, -conditions.about)
+            W = np.where(np.isfinite(r), weights.of[run], 0.0)
             r = np.nan_to_num(r)
             b.append(r.reshape(-1) @ GW)
             c.append(float((W * r * r).sum()))
@@ -365,12 +369,12 @@ class Screen:
         found = Evidence(A, b, c, self._version, tuple(which))
         return min(self.centred(found), key=lambda e: self.misfit(e, self.prior)[0])
 
-    def _weigh(self) -> None:
-        """The atoms' normal matrices under the comparison's present weights."""
-        self._version = self.comparison.version
+    def _weigh(self, weights: Weights) -> None:
+        """The atoms' normal matrices under these weights."""
+        self._by, self._version = weights, self._version + 1
         self._A, self._weighted = [], []
         for run, G in zip(self.runs, self._columns, strict=True):
-            W = self.comparison.weights[run].reshape(-1, 1)
+            W = weights.of[run].reshape(-1, 1)
             self._weighted.append(G * W)
             self._A.append((G.T @ self._weighted[-1].astype(np.float32)).astype(float))
 
@@ -399,11 +403,11 @@ class Screen:
 
     def fitted(self, k: int, x: F64) -> Any:
         """(B, C) change of the prediction of screened run k by atoms x."""
-        run = self.runs[k]
-        return (self._columns[k] @ x.astype(np.float32)).reshape(self.comparison.weights[run].shape)
+        change = self._columns[k] @ x.astype(np.float32)
+        return change.reshape(-1, len(self.comparison.channels))
 
     def weighted(self, k: int) -> F64:
-        """(B * C, p) of all atoms on screened run k, times the present weights."""
+        """(B * C, p) of all atoms on screened run k, times the weights of the last evidence."""
         return self._weighted[k]
 
     def possible(self, x: F64) -> F64:
