@@ -1,11 +1,10 @@
 """Errors of training that tell a person what to do."""
 
 from collections.abc import Mapping
-from math import isfinite
-from operator import ge, gt, le
 from typing import Any
 
 from realsim.core.errors import RealsimError
+from realsim.core.limits import beyond_limits
 
 
 class TrainerError(RealsimError):
@@ -14,25 +13,11 @@ class TrainerError(RealsimError):
     usual_hint = "docs/training.md says what training needs; realsim help finetune lists its options"
 
 
-def check_fields(
-    config: Any,
-    *,
-    above: Mapping[str, float] | None = None,
-    least: Mapping[str, float] | None = None,
-    most: Mapping[str, float] | None = None,
-) -> None:
-    """Refuse a configuration with a number that is not finite, or beyond the limit of its field.
-
-    Args:
-        above, least, most: field -> what each of its numbers must be above, at least, at most. None has no number.
+def check_fields(config: Any, **limits: Mapping[str, float]) -> None:
+    """Refuse a configuration with a number beyond the limit of its field; for `limits` see `beyond_limits`.
 
     Raises:
         TrainerError: it names the field, the limit and the value.
     """
-    for word, limits, fits in (("above", above, gt), ("at least", least, ge), ("at most", most, le)):
-        for name, limit in (limits or {}).items():
-            value = getattr(config, name)
-            for number in value if isinstance(value, tuple) else () if value is None else (value,):
-                if not (fits(number, limit) and isfinite(number)):
-                    found = f"{name} {number:g} ({type(config).__name__})"
-                    raise TrainerError(f"{name} must be {word} {limit:g}", found=found)
+    for limit, found in beyond_limits(config, **limits):
+        raise TrainerError(limit, found=f"{limit.split()[0]} {found:g} ({type(config).__name__})")

@@ -30,7 +30,7 @@ class AlignConfig:
 
     def __post_init__(self) -> None:
         if not self.margin >= 0:
-            raise ValueError("need margin >= 0")
+            raise ValueError(f"need margin >= 0, found {self.margin:g}")
         for name, point in (("start", self.start), ("goal", self.goal)):
             if point is not None and not all(map(isfinite, point)):
                 raise ValueError(f"{name} must be two numbers in metres, found {point[0]:g} {point[1]:g}")

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import tyro
 
+from realsim.core.limits import check_limits
+
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
 """Name of a unit of scans -> its length in metres."""
 LAYOUTS = (
@@ -46,15 +48,9 @@ class CaptureConfig:
     """Keep frames that are much less sharp than their neighbours."""
 
     def __post_init__(self) -> None:
-        if self.max_frames < 0:
-            raise ValueError("max_frames must not be negative")
-        if self.every < 1:
-            raise ValueError("every must be at least 1")
+        sizes = dict.fromkeys(("max_frames", "max_time_difference", "max_pose_gap"), 0)
+        check_limits(self, above={"depth_unit": 0}, least={**sizes, "every": 1})
         if not 0 <= self.min_depth < self.max_depth:
-            raise ValueError("need 0 <= min_depth < max_depth")
-        if self.depth_unit is not None and not self.depth_unit > 0:
-            raise ValueError("depth_unit must be positive")
+            raise ValueError(f"need 0 <= min_depth < max_depth, found {self.min_depth:g} and {self.max_depth:g}")
         if self.unit not in UNITS:
-            raise ValueError(f"unit must be one of {', '.join(UNITS)}")
-        if not (self.max_time_difference >= 0 and self.max_pose_gap >= 0):
-            raise ValueError("max_time_difference and max_pose_gap must not be negative")
+            raise ValueError(f"unit must be one of {', '.join(UNITS)}, found {self.unit}")

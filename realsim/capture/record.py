@@ -12,6 +12,7 @@ import numpy as np
 from realsim.capture.realsense import Shot, Stream, library, open_bag, open_camera
 from realsim.core.errors import CaptureError, RealsimError
 from realsim.core.files import to_json, write_bytes, write_text
+from realsim.core.limits import check_limits
 from realsim.core.progress import track
 
 
@@ -35,12 +36,8 @@ class RecordConfig:
     """Serial number of the camera, where several are plugged in."""
 
     def __post_init__(self) -> None:
-        if self.seconds is not None and not self.seconds > 0:
-            raise ValueError("seconds must be positive")
-        if min(self.width, self.height, self.fps, self.every) < 1 or (self.frames is not None and self.frames < 1):
-            raise ValueError("width, height, fps, every and frames must be at least 1")
-        if self.warm_up < 0:
-            raise ValueError("warm_up must not be negative")
+        counts = dict.fromkeys(("width", "height", "fps", "every", "frames"), 1)
+        check_limits(self, above={"seconds": 0}, least={**counts, "warm_up": 0})
 
 
 @dataclass(frozen=True)

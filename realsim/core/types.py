@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,10 @@ F64 = NDArray[np.float64]
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
 Bool = NDArray[np.bool_]
+MjModel: TypeAlias = Any
+MjData: TypeAlias = Any
+MjSpec: TypeAlias = Any
+"""MuJoCo's, which has no types for a checker."""
 HALF_WAY = 0.5
 """Metres to either side of the line from start to goal: half of what a humanoid takes up, and a stride's sway."""
 

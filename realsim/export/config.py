@@ -7,6 +7,8 @@ from typing import Annotated
 
 import tyro
 
+from realsim.core.limits import check_limits
+
 
 @dataclass(frozen=True)
 class SceneConfig:
@@ -26,11 +28,11 @@ class SceneConfig:
     """Robot to put on the start platform."""
 
     def __post_init__(self) -> None:
-        if not 0.002 <= self.hfield_resolution <= 0.5:
-            raise ValueError("hfield_resolution must lie between 0.002 and 0.5 metres")
-        if not 0 < self.contact_tolerance[0] <= self.contact_tolerance[1]:
-            raise ValueError("need 0 < median <= 95th percentile in contact_tolerance")
-        if not 100 <= self.contact_probes <= 100_000:
-            raise ValueError("contact_probes must lie between 100 and 100000")
-        if not 0.001 <= self.convex_threshold <= 0.2:
-            raise ValueError("convex_threshold must lie between 0.001 and 0.2 metres")
+        check_limits(
+            self,
+            least={"hfield_resolution": 0.002, "contact_probes": 100, "convex_threshold": 0.001},
+            most={"hfield_resolution": 0.5, "contact_probes": 100_000, "convex_threshold": 0.2},
+        )
+        median, p95 = self.contact_tolerance
+        if not 0 < median <= p95:
+            raise ValueError(f"need 0 < median <= 95th percentile in contact_tolerance, found {median:g} and {p95:g}")

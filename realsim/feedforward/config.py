@@ -28,11 +28,11 @@ class OnnxConfig:
 
     def __post_init__(self) -> None:
         if not 0 <= self.min_confidence < 1:
-            raise ValueError("need 0 <= min_confidence < 1")
+            raise ValueError(f"need 0 <= min_confidence < 1, found {self.min_confidence:g}")
         if not 0 <= self.drop_least_sure < 100:
-            raise ValueError("need 0 <= drop_least_sure < 100")
+            raise ValueError(f"need 0 <= drop_least_sure < 100, found {self.drop_least_sure:g}")
         if self.max_views is not None and self.max_views < 1:
-            raise ValueError("need max_views >= 1")
+            raise ValueError(f"need max_views >= 1, found {self.max_views}")
 
 
 @dataclass(frozen=True)

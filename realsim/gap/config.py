@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import math
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from realsim.core.limits import check_limits
+
 SHORTEST_RUN = 0.1
-"""Seconds of a run that must be left when it is cut."""
+"""Seconds of a run that must be left when it is cut: less does not show the motion of a servo."""
 
 
 @dataclass(frozen=True)
@@ -43,18 +44,14 @@ class DiagnoseConfig:
     """Write signals.mcap: measured and simulated signals for Foxglove, PlotJuggler or Rerun (extra `logs`)."""
 
     def __post_init__(self) -> None:
-        if self.max_causes < 1 or self.threads < 1 or self.max_runs < 1:
-            raise ValueError("max_causes, threads and max_runs must be at least 1")
-        if not 0 < self.bin_seconds <= 0.2:
-            raise ValueError("bin_seconds must lie in (0, 0.2]")
-        if not 0 <= self.unexplained_share <= 1:
-            raise ValueError("unexplained_share lies in 0..1")
-        if self.holdout < 0 or not self.settle_seconds >= 0 or self.seed < 0:
-            raise ValueError("holdout, settle_seconds and seed must not be negative")
-        if self.max_seconds is not None and not self.max_seconds >= SHORTEST_RUN:
-            raise ValueError(f"max_seconds must be at least {SHORTEST_RUN:g}: less does not show the motion of a servo")
-        if self.bootstrap < 1:
-            raise ValueError("bootstrap must be at least 1")
+        counts = dict.fromkeys(("max_causes", "threads", "max_runs", "bootstrap"), 1)
+        sizes = dict.fromkeys(("unexplained_share", "holdout", "settle_seconds", "seed"), 0)
+        check_limits(
+            self,
+            above={"bin_seconds": 0},
+            least={**counts, **sizes, "max_seconds": SHORTEST_RUN},
+            most={"bin_seconds": 0.2, "unexplained_share": 1},
+        )
 
 
 @dataclass(frozen=True)
@@ -71,11 +68,5 @@ class ExciteConfig:
     """Of the phases of sines."""
 
     def __post_init__(self) -> None:
-        if not 2.0 <= self.seconds <= 10.0:
-            raise ValueError("seconds must lie in 2..10: a diagnosis reads ten seconds of a run")
-        for name in ("max_speed", "max_torque"):
-            value = getattr(self, name)
-            if value is not None and not (math.isfinite(value) and value > 0):
-                raise ValueError(f"{name} must be above 0")
-        if self.seed < 0:
-            raise ValueError("seed must not be negative")
+        limits = {"above": {"max_speed": 0, "max_torque": 0}, "least": {"seconds": 2, "seed": 0}}
+        check_limits(self, **limits, most={"seconds": 10})  # a diagnosis reads ten seconds of a run

@@ -22,7 +22,6 @@ from realsim.gap.answer.stays import what_stays
 from realsim.gap.case.case import Case
 from realsim.gap.case.health import examine
 from realsim.gap.case.runs import LEAST_SAMPLES, Run, find_gaps
-from realsim.gap.case.split import replicates as replicates
 from realsim.gap.case.split import split_runs
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.effects import EFFECTS

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import tyro
 
+from realsim.core.limits import check_limits
 from realsim.core.registry import Registry
 
 METHODS = Registry(
@@ -40,13 +41,9 @@ class MeshConfig:
     seed: Annotated[int, tyro.conf.Suppress] = 0
 
     def __post_init__(self) -> None:
-        if self.resolution is not None and not 0.001 <= self.resolution <= 0.2:
-            raise ValueError("resolution must lie between 0.001 and 0.2 m")
-        if self.max_triangles < 100:
-            raise ValueError("max_triangles must be at least 100")
-        if not 0 < self.max_error <= 0.1:
-            raise ValueError("max_error must lie between 0 and 0.1 m")
-        if self.min_views < 1:
-            raise ValueError("min_views must be at least 1")
-        if not self.min_island >= 0 or self.residual_views < 0:
-            raise ValueError("min_island and residual_views must not be negative")
+        check_limits(
+            self,
+            above={"max_error": 0},
+            least={"resolution": 0.001, "max_triangles": 100, "min_views": 1, "min_island": 0, "residual_views": 0},
+            most={"resolution": 0.2, "max_error": 0.1},
+        )

@@ -8,6 +8,8 @@ from typing import Annotated, Literal
 
 import tyro
 
+from realsim.core.limits import check_limits
+
 SHEETS = {"a4": (0.297, 0.210), "letter": (0.2794, 0.2159)}
 """Metres, the long side first."""
 
@@ -35,18 +37,17 @@ class ScaleConfig:
 
     def __post_init__(self) -> None:
         if not 0 < self.warn_spread <= self.max_spread:
-            raise ValueError("need 0 < warn_spread <= max_spread")
+            raise ValueError(f"need 0 < warn_spread <= max_spread, found {self.warn_spread:g} and {self.max_spread:g}")
         if self.sensor_sigma is not None and not 0 <= self.sensor_sigma < 0.5:
-            raise ValueError("need 0 <= sensor_sigma < 0.5")
-        if self.bootstrap < 10:
-            raise ValueError("need bootstrap >= 10")
+            raise ValueError(f"need 0 <= sensor_sigma < 0.5, found {self.sensor_sigma:g}")
+        check_limits(self, least={"bootstrap": 10})
         if sum(given is not None for given in (self.known_length, self.tag_size, self.sheet)) > 1:
             raise ValueError("only one of known_length, tag_size and sheet can set the scale")
         if self.known_length is not None:
             if not 0 < self.known_length[2] < 1000:
-                raise ValueError("known_length must end in a distance in metres")
+                raise ValueError(f"known_length must end in a distance in metres, found {self.known_length[2]:g}")
             for name in self.known_length[:2]:
                 if re.fullmatch(r".+:\d+(\.\d+)?,\d+(\.\d+)?", name) is None:
                     raise ValueError(f"known_length takes FRAME:X,Y twice and metres, not {name}")
         if self.tag_size is not None and not 0.005 <= self.tag_size <= 5:
-            raise ValueError("tag_size is in metres: need 0.005 <= tag_size <= 5")
+            raise ValueError(f"tag_size is in metres: need 0.005 <= tag_size <= 5, found {self.tag_size:g}")

@@ -7,6 +7,8 @@ from typing import Annotated, Literal
 
 import tyro
 
+from realsim.core.limits import check_limits
+
 
 @dataclass(frozen=True)
 class SynthConfig:
@@ -41,13 +43,10 @@ class SynthConfig:
     """Seed of the terrain, the walk and the noise."""
 
     def __post_init__(self) -> None:
-        if not 1 <= self.frames <= 100_000:
-            raise ValueError("frames must lie between 1 and 100000")
+        check_limits(
+            self,
+            least={"frames": 1, "gap": 0, "pose_error": 0, "depth_scale": 0.5},
+            most={"frames": 100_000, "gap": 100_000, "pose_error": 1, "depth_scale": 2},
+        )
         if not (80 <= self.width <= 1920 and self.width % 4 == 0):
-            raise ValueError("width must be a multiple of 4 from 80 to 1920")
-        if not 0 <= self.gap <= 100_000:
-            raise ValueError("gap must lie between 0 and 100000")
-        if not 0 <= self.pose_error <= 1:
-            raise ValueError("pose_error must lie between 0 and 1 m")
-        if self.depth_scale is not None and not 0.5 <= self.depth_scale <= 2:
-            raise ValueError("depth_scale must lie between 0.5 and 2")
+            raise ValueError(f"width must be a multiple of 4 from 80 to 1920, found {self.width}")

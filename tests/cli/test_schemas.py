@@ -51,7 +51,7 @@ def test_an_error_is_what_any_command_may_print(tmp_path: Path, capsys: pytest.C
     assert unknown["error"] == "UsageError"
     assert "--no-such-option" in unknown["message"]
     few = said(capsys, "reconstruct", "x", "--max-triangles", "1", code=2)
-    assert few["message"] == "--max-triangles must be at least 100"
+    assert few["message"] == "--max-triangles must be at least 100, found 1"
 
 
 def test_the_list_names_all(capsys: pytest.CaptureFixture[str]) -> None:

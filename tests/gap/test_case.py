@@ -14,7 +14,8 @@ import pytest
 
 from realsim.core.errors import GapError, RealsimError, UnknownNameError
 from realsim.gap import DiagnoseConfig, diagnose, explain, load_case
-from realsim.gap.pipeline import limited, replicates
+from realsim.gap.case.split import replicates
+from realsim.gap.pipeline import limited
 from realsim.gap.run import check_case, run_case
 from tests.truths.written import write_case
 

@@ -98,12 +98,12 @@ def test_no_probability_is_stated_that_was_not_calibrated(calm: Diagnosis) -> No
 def test_values_are_fitted_anew_without_each_run(fitter: Fitter) -> None:
     fit = fitter.fit([cause(fitter, "coulomb_friction", 2.0)])
     assert fit is not None
-    left = leave_out(fitter.screen, fitter, fit)
+    left = leave_out(fitter, fit)
     assert left.values.shape == (3, 1)
     assert len(set(left.values[:, 0])) == 3
     assert left.values[:, 0] == pytest.approx(fit.causes[0].values[0], rel=0.1)
     assert left.after.mean() < 2.0
-    gain, error = left.gained_over(leave_out(fitter.screen, fitter, fitter.nominal()))
+    gain, error = left.gained_over(leave_out(fitter, fitter.nominal()))
     assert gain > 3.0 > error
 
 
@@ -120,7 +120,7 @@ def test_a_model_that_stays_wrong_widens_its_intervals(arm: Case, sticky: Case) 
             its = Fitter.of(Screen(simulator, comparison, [0, 1, 2], EFFECTS))
             fit = its.fit([cause(its, "coulomb_friction", 3.0)])
             assert fit is not None
-            sigmas.append(float(leave_out(its.screen, its, fit).sigmas[0]))
+            sigmas.append(float(leave_out(its, fit).sigmas[0]))
     assert sigmas[1] > 1.4 * sigmas[0]
 
 
@@ -133,7 +133,7 @@ def test_a_cause_that_left_out_runs_do_not_need_is_taken_out(fitter: Fitter) -> 
     both = fitter.fit([cause(fitter, "coulomb_friction", 3.0), cause(fitter, "viscous_friction", 0.001)], iterations=1)
     assert both is not None
     notes: list[str] = []
-    fit, left, _ = _lasting(fitter.screen, fitter, chosen(fitter, both), notes)
+    fit, left, _ = _lasting(fitter, chosen(fitter, both), notes)
     assert [c.candidate.effect for c in fit.causes] == ["coulomb_friction"]
     assert left is not None
     assert "left-out runs do not need it" in notes[0]
@@ -144,7 +144,7 @@ def test_a_single_cause_is_left_to_the_check(fitter: Fitter) -> None:
     wrong = fitter.looked_at(fitter.nominal(), [cause(fitter, "stiffness_gain", -1.5)])
     assert wrong is not None
     notes: list[str] = []
-    fit, left, _ = _lasting(fitter.screen, fitter, chosen(fitter, wrong), notes)
+    fit, left, _ = _lasting(fitter, chosen(fitter, wrong), notes)
     assert fit is wrong
     assert left is not None
     assert not notes
@@ -180,7 +180,7 @@ def test_a_weaker_servo_is_compared_with_load_friction(arm: Case) -> None:
         fit = its.fit([cause(its, "load_friction", 0.28)])
         assert fit is not None
         notes: list[str] = []
-        found, _, others = beside_imitations(its.screen, its, fit, leave_out(its.screen, its, fit), [], notes)
+        found, _, others = beside_imitations(its, fit, leave_out(its, fit), [], notes)
     named = [c.candidate.effect for f in (found, *others) for c in f.causes]
     assert "stiffness_gain" in named
     assert found.causes[0].candidate.effect == "stiffness_gain"

@@ -10,12 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from realsim.gap import load_case
-from realsim.gap.answer.conclusion import _at_an_end
 from realsim.gap.effects.base import Parameter
 from realsim.gap.effects.lookup import lookup
 from realsim.gap.figures import BRIEF, CAUSE, CAUSE_A_JOINT, CLEARLY, SHARE
 from realsim.gap.inference.causes.fit import Cause, Fitter
-from realsim.gap.inference.causes.fitted import at_bound
+from realsim.gap.inference.causes.fitted import at_an_end, at_bound
 from realsim.gap.inference.causes.gauss_newton import Rough
 from realsim.gap.inference.causes.leftover import leftover
 from realsim.gap.inference.causes.proposals import by_slopes, ranked
@@ -124,9 +123,8 @@ def test_a_rotor_without_inertia_is_an_answer(fitter: Fitter) -> None:
 
 
 def test_a_strength_at_an_end_of_its_range_is_no_answer(fitter: Fitter) -> None:
-    fit = replace(fitter.nominal(), causes=(_cause(fitter, "motor_gain", 100.0),))
-    assert _at_an_end(fit) == ["ratio"]
-    assert _at_an_end(replace(fit, causes=(_cause(fitter, "motor_gain", -0.9),))) == []
+    assert at_an_end(_cause(fitter, "motor_gain", 100.0)) == ["ratio"]
+    assert at_an_end(_cause(fitter, "motor_gain", -0.9)) == []
 
 
 def test_the_best_place_of_every_effect_is_fitted_before_a_second_one(fitter: Fitter) -> None:

@@ -207,10 +207,7 @@ def _signals(
         sizes = {"motion": about, "rms_before": before, "rms_after": after}
         floor = float(np.sqrt(np.mean(np.concatenate([comparison.floor(i)[:, columns] for i in runs]))))
         unit = unit_of(signal, comparison.channels[columns[0]].label, comparison.case.model)
-        rms = {name: _rms([r[:, columns] for r in rs]) for name, rs in sizes.items()}
+        parts = {name: np.concatenate(rs)[:, columns] for name, rs in sizes.items()}
+        rms = {name: float(np.sqrt(np.nanmean(values**2))) for name, values in parts.items()}
         found[signal] = {"unit": unit, **rms, "floor": floor}
     return found
-
-
-def _rms(parts: Sequence[F64]) -> float:
-    return float(np.sqrt(np.nanmean(np.concatenate(parts) ** 2)))

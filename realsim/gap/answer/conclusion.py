@@ -29,7 +29,6 @@ from realsim.gap.inference.causes.score import score
 from realsim.gap.inference.causes.select import Selection
 from realsim.gap.inference.causes.starts import contains, suggested
 from realsim.gap.inference.evidence.onsets import find_onsets
-from realsim.gap.inference.likelihood.comparison import Comparison
 from realsim.gap.inference.likelihood.screen import Screen
 from realsim.gap.verdicts import GapVerdict
 
@@ -66,19 +65,17 @@ def conclude(config: DiagnoseConfig, selection: Selection, held: Sequence[int], 
         nominal: (T, C) a run, of the nominal simulator, all runs of the case.
     """
     notes, fitter, screen = list(selection.notes), selection.fitter, selection.fitter.screen
-    fit, left, dropped = _lasting(screen, fitter, selection, notes)
+    fit, left, dropped = _lasting(fitter, selection, notes)
     if fit is selection.fit:
         given = [f for f in selection.equivalent if not _again(screen, f, fit)]
     else:  # the search compared other sets: what is as good as what lasts is looked for anew
-        fit, left, given = _simplest(screen, fitter, selection.trials, fit, left)
-    fit, left, others = beside_imitations(screen, fitter, fit, left, given, notes)
+        fit, left, given = _simplest(fitter, selection.trials, fit, left)
+    fit, left, others = beside_imitations(fitter, fit, left, given, notes)
     fit, warnings = _with_onsets(screen, fit, held, nominal)
     checked, more = _checked(config, screen, fit, selection.nominal, left, held, nominal)
     fitted = _fitted(screen, fit, selection.nominal, nominal)
-    sigmas = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)) if fit.causes else np.zeros(0)
-    if left is not None:
-        sigmas = np.maximum(sigmas, left.sigmas)
-    ends = _at_an_end(fit)
+    sigmas = fit.sigmas if left is None else np.maximum(fit.sigmas, left.sigmas)
+    ends = [name for c in fit.causes for name in at_an_end(c)]  # of strengths: a law's shape may be at one
     doubts = _doubts(screen, fit, sigmas, dropped, selection.trials)
     if not all(at_an_end(c) for c in fit.causes):  # the others may still be what they are
         doubts += [f"{name}: as far as the library goes, so it stands for something else" for name in ends]
@@ -90,7 +87,7 @@ def conclude(config: DiagnoseConfig, selection: Selection, held: Sequence[int], 
 
     judgement = judged()
     if judgement.verdict is GapVerdict.PARTLY_EXPLAINED and left is not None:
-        others = _as_good(screen, fitter, selection.trials, fit, left)
+        others = _as_good(fitter, selection.trials, fit, left)
         judgement = judged()
     only_imitates = imitates(fit) and not is_gap(leftover(screen, selection.nominal))
     if (
@@ -145,9 +142,7 @@ def _lead(fitter: Fitter, selection: Selection) -> Fit | None:
 # ---------------------------------------------------------------- on the fitted runs
 
 
-def _lasting(
-    screen: Screen, fitter: Fitter, selection: Selection, notes: list[str]
-) -> tuple[Fit, LeftOut | None, list[Cause]]:
+def _lasting(fitter: Fitter, selection: Selection, notes: list[str]) -> tuple[Fit, LeftOut | None, list[Cause]]:
     """(the causes without those that do not help the others to predict left-out runs, these runs, what was dropped).
 
     Of several that left-out runs do not need, the one goes that explains least: two that do much the same (dry and
@@ -155,15 +150,15 @@ def _lasting(
     a plainer one as a special case, that one stays if it is needed."""
     fit, dropped = selection.fit, list[Cause]()
     while fit.causes:
-        left = leave_out(screen, fitter, fit)
-        if len(screen.runs) < 2 or len(fit.causes) == 1:
+        left = leave_out(fitter, fit)
+        if len(fitter.screen.runs) < 2 or len(fit.causes) == 1:
             return fit, left, dropped
         weakest: tuple[float, Fit, LeftOut, Cause] | None = None
         for i, cause in enumerate(fit.causes):
             less = fitter.fit([c for j, c in enumerate(fit.causes) if j != i])
             if less is None:
                 continue
-            without = leave_out(screen, fitter, less)
+            without = leave_out(fitter, less)
             if not _needed(left, without) and (weakest is None or less.misfit < weakest[0]):
                 weakest = (less.misfit, less, without, cause)
         if weakest is None:
@@ -171,7 +166,7 @@ def _lasting(
         _, fit, without, cause = weakest
         if plain := _plainer(selection.trials, cause):
             other = fitter.fit([*fit.causes, plain])
-            if other is not None and _needed(leave_out(screen, fitter, other), without):
+            if other is not None and _needed(leave_out(fitter, other), without):
                 notes.append(f"{_name(plain)} takes the place of {_name(cause)}: left-out runs need no more")
                 fit = other
                 continue
@@ -194,10 +189,10 @@ def _plainer(trials: Sequence[Trial], cause: Cause) -> Cause | None:
 
 
 def beside_imitations(
-    screen: Screen, fitter: Fitter, fit: Fit, left: LeftOut | None, given: Sequence[Fit], notes: list[str]
+    fitter: Fitter, fit: Fit, left: LeftOut | None, given: Sequence[Fit], notes: list[str]
 ) -> tuple[Fit, LeftOut | None, list[Fit]]:
     """(fit, left-out runs, others) once each cause was compared with what its effect is taken for."""
-    others = list(given)
+    others, screen = list(given), fitter.screen
     if left is None or len(screen.runs) < 2:
         return fit, left, others
     for cause in list(fit.causes):
@@ -210,7 +205,7 @@ def beside_imitations(
                 rival = fitter.fit([*rest_of, Cause(candidate, tuple(start))])
             if rival is None:
                 continue
-            theirs = leave_out(screen, fitter, rival)
+            theirs = leave_out(fitter, rival)
             gain, error = better(screen.comparison, list(screen.runs), left.residuals, theirs.residuals)
             if gain < -Z90 * error:
                 notes.append(
@@ -225,22 +220,22 @@ def beside_imitations(
 
 
 def _simplest(
-    screen: Screen, fitter: Fitter, trials: Sequence[Trial], fit: Fit, left: LeftOut | None
+    fitter: Fitter, trials: Sequence[Trial], fit: Fit, left: LeftOut | None
 ) -> tuple[Fit, LeftOut | None, list[Fit]]:
     """(the set with the lowest score of those that left-out runs cannot tell from this one, its runs, the others): one
     whose sizes the runs determine goes before one that could be none."""
-    others = _as_good(screen, fitter, trials, fit, left) if left is not None else []
+    others = _as_good(fitter, trials, fit, left) if left is not None else []
 
     def order(one: Fit) -> tuple[bool, bool, float]:
-        sigmas = np.sqrt(np.maximum(np.diag(fitter.spread(one).covariance), 0.0))
-        return imitates(one), not all(_told_from_none(one, sigmas)), score(fitter, one)
+        return imitates(one), not all(_told_from_none(one, fitter.spread(one).sigmas)), score(fitter, one)
 
     best, *rest = sorted([fit, *others], key=order)
-    return (fit, left, others) if best is fit else (fitter.spread(best), leave_out(screen, fitter, best), rest)
+    return (fit, left, others) if best is fit else (fitter.spread(best), leave_out(fitter, best), rest)
 
 
-def _as_good(screen: Screen, fitter: Fitter, trials: Sequence[Trial], fit: Fit, left: LeftOut) -> list[Fit]:
+def _as_good(fitter: Fitter, trials: Sequence[Trial], fit: Fit, left: LeftOut) -> list[Fit]:
     """Single causes that left-out runs cannot tell from the one named, with what both leave counted as noise."""
+    screen = fitter.screen
     if len(fit.causes) != 1 or len(screen.runs) < 2:
         return []
     own = fit.causes[0].candidate
@@ -253,7 +248,7 @@ def _as_good(screen: Screen, fitter: Fitter, trials: Sequence[Trial], fit: Fit, 
         rival = fitter.fit([Cause(trial.candidate, trial.values)])
         if rival is None or _again(screen, rival, fit):
             continue
-        theirs = leave_out(screen, fitter, rival)
+        theirs = leave_out(fitter, rival)
         gain, error = better(screen.comparison, list(screen.runs), left.residuals, theirs.residuals)
         if gain <= Z90 * error:
             found.append(rival)
@@ -265,15 +260,10 @@ def _again(screen: Screen, rival: Fit, fit: Fit) -> bool:
     runs, simulator, comparison = list(screen.runs), screen.simulator, screen.comparison
     nothing = [screen.comparison.residual(r, y) for r, y in zip(runs, screen.nominal, strict=True)]
     for cause in rival.causes:
-        alone = errors(simulator, comparison, cause.settings(), runs, fit.conditions.onsets)
-        if alone is not None and _apart(comparison, runs, alone, nothing) < figures.LEAST:
+        own = errors(simulator, comparison, cause.settings(), runs, fit.conditions.onsets)
+        if own and mean_square(comparison, [x - y for x, y in zip(own, nothing, strict=True)], runs) < figures.LEAST:
             return True
     return any(contains(c.candidate, o.candidate) for c in rival.causes for o in fit.causes)
-
-
-def _apart(comparison: Comparison, runs: Sequence[int], a: Sequence[F64], b: Sequence[F64]) -> float:
-    """Mean square difference in units of the floor."""
-    return mean_square(comparison, [x - y for x, y in zip(a, b, strict=True)], runs)
 
 
 def _fitted(screen: Screen, fit: Fit, nothing: Fit, nominal: Sequence[F64]) -> Fitted:
@@ -282,11 +272,6 @@ def _fitted(screen: Screen, fit: Fit, nothing: Fit, nominal: Sequence[F64]) -> F
     left, gap = leftover(screen, fit), np.maximum(leftover(screen, nothing) - 1, 1e-9)
     shares, weight = np.clip((left - 1) / gap, 0, 1), np.log1p(gap)
     return Fitted(before, left, float((weight * shares).sum() / weight.sum()))
-
-
-def _at_an_end(fit: Fit) -> list[str]:
-    """Strengths at an end of their range; a law's shape may be at one, as where dry friction has no dip."""
-    return [name for c in fit.causes for name in at_an_end(c)]
 
 
 def _told_from_none(fit: Fit, sigmas: F64) -> list[bool]:

@@ -11,6 +11,7 @@ import numpy as np
 
 from realsim.core.files import to_json, write_text
 from realsim.core.statistics import Z90
+from realsim.core.types import F64
 from realsim.gap import figures
 from realsim.gap.answer.arrays import Arrays
 from realsim.gap.effects import EFFECTS
@@ -93,7 +94,7 @@ class Diagnosis:
         return path
 
 
-def describe_cause(cause: Cause, sigmas: np.ndarray, onsets: Mapping[str, float]) -> dict[str, Any]:
+def describe_cause(cause: Cause, sigmas: F64, onsets: Mapping[str, float]) -> dict[str, Any]:
     """A cause in the contract's form: places, values and intervals in reported units.
 
     `probability` is null: none is stated that was not calibrated.
@@ -123,10 +124,9 @@ def describe_cause(cause: Cause, sigmas: np.ndarray, onsets: Mapping[str, float]
     return {"effect": cause.candidate.effect, **places, "parameters": reported, "probability": None}
 
 
-def describe_set(fit: Fit, order: list[int] | None = None, sigmas: np.ndarray | None = None) -> list[dict[str, Any]]:
+def describe_set(fit: Fit, order: list[int] | None = None, sigmas: F64 | None = None) -> list[dict[str, Any]]:
     """All causes of a fit, in `order`; `sigmas`: (m,) of all values, the fit's own if None."""
-    if sigmas is None:
-        sigmas = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)) if fit.causes else np.zeros(0)
+    sigmas = fit.sigmas if sigmas is None else sigmas
     starts = np.cumsum([0, *(len(c.values) for c in fit.causes)])
     chosen = range(len(fit.causes)) if order is None else order
     onsets = fit.conditions.onsets

@@ -18,7 +18,6 @@ from realsim.gap.inference.causes.fit import Fitter
 from realsim.gap.inference.causes.fitted import Fit, values_of
 from realsim.gap.inference.causes.leftover import rests
 from realsim.gap.inference.likelihood.comparison import CORRELATION, Comparison
-from realsim.gap.inference.likelihood.screen import Screen
 
 
 @dataclass(frozen=True)
@@ -44,13 +43,12 @@ class LeftOut:
         return float(ratios.mean()), error
 
 
-def leave_out(screen: Screen, fitter: Fitter, fit: Fit) -> LeftOut:
+def leave_out(fitter: Fitter, fit: Fit) -> LeftOut:
     """Refit the values without each run in turn, and predict that run (`Fitter.without_each`).
 
     Errors count by the noise floor and by what the fit leaves in each channel beside everyday deviations.
     """
-    comparison: Comparison = screen.comparison
-    runs = list(screen.runs)
+    screen, comparison, runs = fitter.screen, fitter.screen.comparison, list(fitter.screen.runs)
     values, residuals, after = [], [], []
     rest = discrepancy(comparison, runs, rests(screen, fit))
     detail = [np.hypot(comparison.noise.detail, rest) for _ in comparison.case.runs]
@@ -64,7 +62,7 @@ def leave_out(screen: Screen, fitter: Fitter, fit: Fit) -> LeftOut:
         settings, onsets = [s for c in causes for s in c.settings()], fit.conditions.onsets
         plain = errors(screen.simulator, comparison, settings, [runs[k]], onsets) if fit.about.any() else None
         residuals.append(plain[0] if plain else comparison.residual(runs[k], predicted))
-    sigmas = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
+    sigmas = fit.sigmas
     if len(runs) > 2:
         spread = np.array(values) - np.mean(values, axis=0)
         sigmas = np.maximum(sigmas, np.sqrt((len(runs) - 1) / len(runs) * (spread**2).sum(axis=0)))
@@ -72,7 +70,7 @@ def leave_out(screen: Screen, fitter: Fitter, fit: Fit) -> LeftOut:
 
 
 def better(
-    comparison: Comparison, runs: Sequence[int], ours: Sequence[F64], theirs: Sequence[F64], seed: int = 0
+    comparison: Comparison, runs: Sequence[int], ours: Sequence[F64], theirs: Sequence[F64]
 ) -> tuple[float, float]:
     """(mean, standard error) of what `ours` leaves less than `theirs`, over blocks, in units of its own discrepancy."""
     rest = discrepancy(comparison, runs, ours)
@@ -82,7 +80,7 @@ def better(
         row = np.nansum((b**2 - a**2) / (comparison.floor(run) + rest**2), axis=1) / CORRELATION
         sums.append(np.add.reduceat(row, np.arange(0, len(row), width)))
     values = np.concatenate(sums)
-    return float(values.mean()), float(resampled(values, 400, seed).mean(axis=1).std())
+    return float(values.mean()), float(resampled(values, 400, 0).mean(axis=1).std())
 
 
 def discrepancy(comparison: Comparison, runs: Sequence[int], residuals: Sequence[F64]) -> F64:

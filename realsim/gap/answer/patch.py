@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from realsim.core.errors import GapError, UnknownNameError
+from realsim.core.types import MjModel, MjSpec
 from realsim.gap.case.case import Case
 from realsim.gap.case.model.context import Context, build_context
 from realsim.gap.case.model.edit import Edit, Signals, put
@@ -91,7 +92,7 @@ def _scales(context: Context) -> dict[str, Any]:
     return {name: dict(getattr(context, name)) for name in names}
 
 
-def apply_patch(spec: Any, patch: dict[str, Any]) -> Signals:
+def apply_patch(spec: MjSpec, patch: dict[str, Any]) -> Signals:
     """Change a mujoco.MjSpec of the nominal model in place; returns the wrappers that the stepping loop must add.
 
     Args:
@@ -140,7 +141,7 @@ def apply_patch(spec: Any, patch: dict[str, Any]) -> Signals:
     return edit.signals
 
 
-def _belongs(model: Any, patch: dict[str, Any], joints: tuple[str, ...]) -> None:
+def _belongs(model: MjModel, patch: dict[str, Any], joints: tuple[str, ...]) -> None:
     """All that a patch names must be in the model."""
     known = {
         "joint": {model.joint(i).name for i in range(model.njnt)},
@@ -205,7 +206,7 @@ def patched_xml(simulator: Simulator, fit: Fit) -> str:
     return note + str(spec.to_xml())
 
 
-def asset_files(spec: Any) -> list[str]:
+def asset_files(spec: MjSpec) -> list[str]:
     """Paths of the files that a model reads (meshes, textures, height fields), relative to its folder."""
     folders = ((spec.meshes, spec.meshdir), (spec.textures, spec.texturedir), (spec.hfields, spec.meshdir))
     return sorted({str(Path(folder) / item.file) for items, folder in folders for item in items if item.file})

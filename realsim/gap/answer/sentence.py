@@ -251,14 +251,9 @@ def _size(parameters: dict[str, dict[str, Any]], passing: Mapping[str, When], si
     sizes = {n: p for n, p in parameters.items() if n not in passing}
     listed = []
     for name, p in [item for item in sizes.items() if not _minor(*item, sizes)][:5]:
-        label = f"{name.replace('_', ' ')} " if len(sizes) > 1 or _directed(name) else ""
+        label = f"{name.replace('_', ' ')} " if len(sizes) > 1 or _component(name) or name in ("roll", "pitch") else ""
         listed.append(label + _interval(p, sign))
     return ", ".join(listed) + times
-
-
-def _directed(name: str) -> bool:
-    """Whether a number alone would not say which way."""
-    return _component(name) or name in ("roll", "pitch")
 
 
 def _component(name: str) -> bool:
@@ -329,7 +324,7 @@ def _what_tells(sets: Sequence[Sequence[Cause]], case: Case) -> str:
     what excites each."""
     names = [{c["effect"] for c in s} for s in sets]
     rivals = set.union(*names) - set.intersection(*names) or set.union(*names)
-    words = [EFFECTS[n].words for n in dict.fromkeys(n for s in sets for n in _effects(s) if n in rivals)]
+    words = [EFFECTS[n].words for n in dict.fromkeys(c["effect"] for s in sets for c in s) if n in rivals]
     telling = [[d.record for d in w.told_by if not any(_logged(signal, case) for signal in d.signals)] for w in words]
     chosen = telling if all(telling) else [w.excitation for w in words]
     return "; ".join(list(dict.fromkeys(text for texts in chosen for text in texts))[:_MOST_RECORDINGS])
@@ -338,10 +333,6 @@ def _what_tells(sets: Sequence[Sequence[Cause]], case: Case) -> str:
 def _logged(signal: str, case: Case) -> bool:
     """Whether a log has a signal; a torque that is commanded need not be measured."""
     return case.has(signal) or (signal == "joint_torque" and case.command_kind == "torque")
-
-
-def _effects(causes: Sequence[Cause]) -> list[str]:
-    return [c["effect"] for c in causes if c["effect"] in EFFECTS]
 
 
 def _next_for_unknown(where: Sequence[dict[str, Any]], case: Case) -> str:

@@ -15,6 +15,7 @@ from realsim.core.errors import GapError, RealsimError, did_you_mean, refuse_unk
 from realsim.core.files import read_json
 from realsim.core.models import load_mjcf
 from realsim.core.notebook import table, traces
+from realsim.core.types import MjModel, MjSpec
 from realsim.gap.case.recordings import read_recordings
 from realsim.gap.case.resolve import resolve
 from realsim.gap.case.runs import Layout, layout, read_run
@@ -51,9 +52,9 @@ class Case:
     notes: str
     xml: str
     """Text of model.xml."""
-    spec: Any = field(repr=False)
+    spec: MjSpec = field(repr=False)
     """mujoco.MjSpec of model.xml, resolved (realsim.gap.case.resolve); never edited, always copied."""
-    model: Any = field(repr=False)
+    model: MjModel = field(repr=False)
     """The compiled nominal mujoco.MjModel."""
     runs: tuple[Run, ...] = field(repr=False)
     warnings: tuple[str, ...] = ()

@@ -9,12 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from realsim.core.errors import GapError
-from realsim.core.types import F64
+from realsim.core.types import F64, Bool
 from realsim.gap.case.case import Case, Run
 from realsim.gap.case.runs import usual_step
 
@@ -39,7 +38,7 @@ class Motion:
     """(N, nv)"""
     qacc: F64
     """(N, nv)"""
-    good: Any
+    good: Bool
     """(N,) bool, whether every logged signal has samples near by."""
 
 
@@ -109,7 +108,7 @@ def _bridge(grid: F64, time: F64, column: F64) -> F64:
     return np.interp(grid, time[finite], column[finite]) if finite.any() else np.zeros(len(grid))
 
 
-def _near(time: F64, finite: Any, grid: F64) -> Any:
+def _near(time: F64, finite: Bool, grid: F64) -> Bool:
     """(N,) whether a finite sample lies within half a window on both sides."""
     have = time[finite]
     if not len(have):

@@ -9,6 +9,7 @@ from typing import Any
 
 from realsim.core.errors import GapError
 from realsim.core.files import read_json
+from realsim.core.types import MjModel
 from realsim.gap.case.runs import Layout, Run, read_run
 from realsim.gap.case.setups import read_setups
 
@@ -22,7 +23,7 @@ def is_recording(path: Path) -> bool:
 
 
 def read_recordings(
-    paths: Sequence[Path], want: Layout, model: Any, known: Sequence[str], warnings: list[str]
+    paths: Sequence[Path], want: Layout, model: MjModel, known: Sequence[str], warnings: list[str]
 ) -> tuple[Run, ...]:
     """The runs of these files and folders. Raises GapError for what cannot be used: none is left out in silence."""
     found: list[Run] = []

@@ -6,11 +6,13 @@ from typing import Any
 
 import numpy as np
 
+from realsim.core.types import MjModel, MjSpec
+
 INFER, AUTO = 1, 2
 """mjINERTIAFROMGEOM_TRUE: a body's own inertial is ignored. mjINERTIAFROMGEOM_AUTO: it counts where there is one."""
 
 
-def resolve(spec: Any) -> None:
+def resolve(spec: MjSpec) -> None:
     """Write into a mujoco.MjSpec, in place, what else would undo an edit of it, or change with one.
 
     Servo gains that are a damping ratio, joint springs that are a time constant and inertials that the compiler
@@ -52,7 +54,7 @@ def resolve(spec: Any) -> None:
             ours.size, ours.fromto = model.geom_size[theirs.id], np.full(6, np.nan)
 
 
-def _write_orientation(spec: Any, part: Any, name: str, orientation: Any) -> None:
+def _write_orientation(spec: MjSpec, part: Any, name: str, orientation: Any) -> None:
     """Euler angles, axes: they would win over a quaternion that an effect sets."""
     quat = type(orientation.type).mjORIENTATION_QUAT
     if orientation.type != quat:
@@ -61,7 +63,7 @@ def _write_orientation(spec: Any, part: Any, name: str, orientation: Any) -> Non
         orientation.type = quat
 
 
-def _write_spring(joint: Any, model: Any, i: int) -> None:
+def _write_spring(joint: Any, model: MjModel, i: int) -> None:
     """Stiffness and damping of a joint that were given as a time constant and a damping ratio."""
     stiffness, damping = np.zeros_like(joint.stiffness), np.zeros_like(joint.damping)
     stiffness[0], damping[0] = model.jnt_stiffness[i], model.dof_damping[model.jnt_dofadr[i]]

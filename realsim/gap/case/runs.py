@@ -12,7 +12,7 @@ import numpy as np
 
 from realsim.core.errors import GapError, refuse_unknown
 from realsim.core.files import check_size, digest, read_npz
-from realsim.core.types import F64
+from realsim.core.types import F64, Bool, MjModel
 from realsim.gap.case.csv_runs import read_csv
 from realsim.gap.case.setups import Setup, read_setups
 from realsim.gap.case.units import in_si
@@ -58,7 +58,7 @@ class Run:
     init_qvel: F64 | None = None
     setup: Setup = field(default_factory=Setup)
     """Known differences of this run from model.xml."""
-    enabled: Any = None
+    enabled: Bool | None = None
     """(T, U) bool, whether the drive gives torque from this sample to the next; None if all do throughout."""
     goes_on: bool = False
     """Whether it is what follows a gap in a recording: its robot may be moving at the first sample."""
@@ -66,7 +66,7 @@ class Run:
     def __repr__(self) -> str:
         return f"Run({self.name!r}, {len(self.time)} samples of {', '.join(self.signals)})"
 
-    def where(self, keep: Any) -> Run:
+    def where(self, keep: Bool | slice) -> Run:
         """The same run, only of the samples that a mask or a slice of (T,) keeps."""
         return replace(
             self,
@@ -76,7 +76,7 @@ class Run:
             enabled=None if self.enabled is None else self.enabled[keep],
         )
 
-    def part(self, rows: Any) -> Run:
+    def part(self, rows: Bool | slice) -> Run:
         """These rows, of a slice or a mask, with a clock from 0; a given first state is that of the first row only."""
         part = self.where(rows)
         begun = float(part.time[0])
@@ -100,7 +100,7 @@ class Run:
         return digest(names, self.time, self.command, *(self.signals[k] for k in names))
 
     @property
-    def on(self) -> Any:
+    def on(self) -> Bool:
         """(T, U) bool: `enabled`, or all True."""
         return np.ones(self.command.shape, bool) if self.enabled is None else self.enabled
 
@@ -142,7 +142,7 @@ def layout(
     joints: Sequence[str],
     actuators: Sequence[str],
     contact: Sequence[str],
-    model: Any,
+    model: MjModel,
     log: Mapping[str, Any],
     file: Path,
 ) -> Layout:
@@ -260,7 +260,7 @@ def _unwrapped(positions: F64, path: Path, joints: Sequence[str], warnings: list
     return result
 
 
-def _trusted(time: F64, path: Path, warnings: list[str]) -> Any:
+def _trusted(time: F64, path: Path, warnings: list[str]) -> Bool:
     """(T,) which samples have a stamp that fits in; refuses a clock that cannot be trusted at all."""
     keep = np.isfinite(time)
     if not keep.all():
@@ -328,7 +328,7 @@ def _commanded(time: F64, data: Mapping[str, F64], path: Path, warnings: list[st
     return _held(command, np.zeros(command.shape[1])), None if on.all() else on
 
 
-def _long(bad: Any, time: F64) -> Any:
+def _long(bad: Bool, time: F64) -> Bool:
     """(T,) which samples belong to holes that last longer than OFF_AFTER."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], bad, [False]]).astype(int)))
     found = np.zeros(len(bad), bool)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from realsim.core.errors import GapError, refuse_unknown
+from realsim.core.types import MjModel
 
 LIGHTEST, HEAVIEST, FARTHEST = 1e-6, 1000.0, 10.0
 """kg and metres: what no robot carries, so that the number is damaged or in another unit. The least is a milligram, set
@@ -29,7 +30,7 @@ class Setup:
     """Whether the run is of the later one of two logs that are compared."""
 
 
-def read_setups(given: Any, model: Any, file: Path) -> dict[str, Setup]:
+def read_setups(given: Any, model: MjModel, file: Path) -> dict[str, Setup]:
     """Run -> its setup, from `runs` of log.json (`file`). Raises GapError for what is not in the model."""
     if given is None:
         return {}
@@ -38,7 +39,7 @@ def read_setups(given: Any, model: Any, file: Path) -> dict[str, Setup]:
     return {str(name): _setup(entry, model, file) for name, entry in given.items()}
 
 
-def _setup(entry: Any, model: Any, file: Path) -> Setup:
+def _setup(entry: Any, model: MjModel, file: Path) -> Setup:
     if not isinstance(entry, Mapping) or set(entry) - {"payload", "gains"}:
         raise _unreadable(file, entry)
 

@@ -42,7 +42,7 @@ def split_runs(case: Case, config: DiagnoseConfig) -> tuple[list[int], list[int]
     groups = [[i] for i in single] or sorted(twins, key=max)
     spare = count > config.holdout + 1 and (bool(single) or len(twins) > config.holdout)
     kept = groups[-config.holdout :] if config.holdout and spare else []
-    motion = [_liveliness(run) for run in case.runs]
+    motion = [float(np.abs(np.diff(run.command, axis=0)).sum()) for run in case.runs]
     if len(kept) == 1 and not _ordinary(motion, kept[0]):
         kept = [sorted(groups, key=lambda g: np.mean([motion[i] for i in g]))[len(groups) // 2]]
     held = sorted(i for group in kept for i in group)
@@ -79,10 +79,6 @@ def _regime(run: Run) -> F64:
     """Log of the command's mean speed, and the mean posture."""
     speed = np.abs(np.diff(run.command, axis=0)).sum() / max(run.duration, 1e-9)
     return np.concatenate([[np.log(speed + 1e-6)], run.command.mean(axis=0)])
-
-
-def _liveliness(run: Run) -> float:
-    return float(np.abs(np.diff(run.command, axis=0)).sum())
 
 
 def replicates(case: Case) -> list[list[int]]:

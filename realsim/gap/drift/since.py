@@ -98,8 +98,8 @@ def changed_since(
             fit, notes = found.nominal, notes + doubts
         rivals: list[Fit] = []
         if fit.causes:
-            left = leave_out(screen, fitter, fit)
-            fit, _, rivals = beside_imitations(screen, fitter, fit, left, found.equivalent, notes)
+            left = leave_out(fitter, fit)
+            fit, _, rivals = beside_imitations(fitter, fit, left, found.equivalent, notes)
             rivals = [f for f in map(fitter.spread, rivals) if not any(_doubt(*c) for c in _with_errors(f))]
         then, first, now = _split(pair.before, leftover(screen, found.nominal), leftover(screen, fit))
         unexplained = _stays(config, bool(fit.causes), then, first, now)
@@ -151,9 +151,9 @@ def _stays(config: DiagnoseConfig, named: bool, then: F64, first: F64, now: F64)
 
 def _with_errors(fit: Fit) -> Iterator[tuple[Cause, F64]]:
     """Causes with the standard errors of their values."""
-    errors, at = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)), 0
+    at = 0
     for cause in fit.causes:
-        yield cause, errors[at : at + len(cause.values)]
+        yield cause, fit.sigmas[at : at + len(cause.values)]
         at += len(cause.values)
 
 

@@ -265,7 +265,9 @@ def gain(step: float, nuisance: float) -> Callable[[Context, Place], tuple[Param
     return fixed(Parameter("ratio", "ratio", ends, step, nuisance=nuisance, report=math.exp))
 
 
-def relative(bounds: tuple[float, float], step: float, nuisance: float) -> Callable[[Context, Place], tuple]:
+def relative(
+    bounds: tuple[float, float], step: float, nuisance: float
+) -> Callable[[Context, Place], tuple[Parameter, ...]]:
     """A ratio whose coordinate is what it is more than 1."""
     return fixed(Parameter("ratio", "ratio", bounds, step, nuisance=nuisance, report=lambda z: 1 + z))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from realsim.core.types import F64
 from realsim.gap.case.model.context import Context
 from realsim.gap.effects.base import EVERYWHERE, EXACT, Edit, Effect, Law, Parameter, Place, Words, always
 
@@ -26,19 +27,19 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
         item.quat = multiply(quaternion(values["roll"], values["pitch"]), item.quat)
 
 
-def rotation(roll: float, pitch: float) -> np.ndarray:
+def rotation(roll: float, pitch: float) -> F64:
     """(3, 3) about the fixed axes, first x then y."""
     c, s, d, t = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
     return np.array([[d, 0, t], [0, 1, 0], [-t, 0, d]]) @ np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
 
 
-def quaternion(roll: float, pitch: float) -> np.ndarray:
+def quaternion(roll: float, pitch: float) -> F64:
     """w x y z of `rotation`."""
     x = np.array([np.cos(roll / 2), np.sin(roll / 2), 0, 0])
     return multiply(np.array([np.cos(pitch / 2), 0, np.sin(pitch / 2), 0]), x)
 
 
-def multiply(p: np.ndarray, q: np.ndarray) -> np.ndarray:
+def multiply(p: F64, q: F64) -> F64:
     """Hamilton product of w x y z quaternions."""
     w, v, a, u = p[0], np.asarray(p[1:]), q[0], np.asarray(q[1:])
     return np.concatenate([[w * a - v @ u], w * u + a * v + np.cross(v, u)])

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from realsim.core.errors import GapError
-from realsim.core.types import F64
+from realsim.core.types import F64, Bool
 from realsim.gap.case.case import Case
 from realsim.gap.case.model.context import Context
 from realsim.gap.case.runs import Run
@@ -35,7 +35,7 @@ class Planned:
     """(T,) seconds from 0."""
     command: F64
     """(T, U) in the log's unit, held between samples."""
-    enabled: Any = None
+    enabled: Bool | None = None
     """(T, U) bool, whether the drive gives torque; None if all do throughout."""
     setup: Setup = field(default_factory=Setup)
     """A mass that is added, gains that are set."""

@@ -32,18 +32,14 @@ def bench_of(context: Context, noise: Noise, config: ExciteConfig, diagnose: Dia
     return Bench(rig, noise, limits_of(context, config.max_speed, config.max_torque), diagnose)
 
 
-def rivals_of(simulator: Simulator, fits: Sequence[Fit]) -> tuple[Rival, ...]:
+def rivals_of(fits: Sequence[Fit]) -> tuple[Rival, ...]:
     """Fits that explain the runs equally well as rivals, the first the best."""
-    found = []
-    for fit in fits:
-        said = "; ".join(phrase(c) for c in describe_set(fit))
-        found.append(rival_of(fit, said))
-    return tuple(found)
+    return tuple(rival_of(fit, "; ".join(phrase(c) for c in describe_set(fit))) for fit in fits)
 
 
 def propose(simulator: Simulator, noise: Noise, fits: Sequence[Fit], config: DiagnoseConfig) -> dict[str, Any] | None:
     """`next_experiment` of a diagnosis whose rivals are these fits; None with fewer than two."""
-    rivals = rivals_of(simulator, fits)
+    rivals = rivals_of(fits)
     if len(rivals) < 2:
         return None
     finalists = FINALISTS if simulator.case.model.nv <= MOST_FREEDOM else 0

@@ -25,6 +25,7 @@ from realsim.core.types import F64
 from realsim.gap.answer.diagnosis import MODEL_ERROR
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.effects import EFFECTS, ON_REQUEST
+from realsim.gap.effects.base import Parameter, Place
 from realsim.gap.effects.lookup import lookup
 from realsim.gap.effects.nuisances import NUISANCES
 from realsim.gap.experiments.limits import Limits
@@ -57,7 +58,7 @@ class Predicted:
         """Whether two rivals do exactly the same in these signals, so that no recording of them can tell."""
         return self._kinds(a) == self._kinds(b)
 
-    def _kinds(self, rival: Rival) -> set[tuple[str, tuple]]:
+    def _kinds(self, rival: Rival) -> set[tuple[str, tuple[Place, ...]]]:
         return {(min(p.effect, self.twins.get(p.effect, p.effect)), p.places) for p in rival.parts}
 
 
@@ -133,7 +134,7 @@ class Bench:
                 if p.nuisance and p.strength
             ]
 
-            def column(atom: tuple) -> F64 | None:
+            def column(atom: tuple[str, Place, Parameter]) -> F64 | None:
                 name, place, p = atom
                 width = min(3 * p.nuisance, abs(p.step)) if p.bounds[0] < 0 else p.step
                 value = float(np.clip(p.default + np.copysign(width, p.step), *p.bounds))

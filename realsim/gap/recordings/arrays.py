@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from realsim.core.errors import GapError
-from realsim.core.types import F64
+from realsim.core.types import F64, Bool
 from realsim.gap.case.runs import GAP, LONGEST_STEP, SHORTEST_GAP, find_gaps, usual_step
 from realsim.gap.recordings.clocks import clocked, increasing
 from realsim.gap.recordings.proposal import Assignment, Proposal, field_of
@@ -115,7 +114,7 @@ def _rows(place: F64, sent: F64, start: float, end: float) -> tuple[F64, list[st
     ]
 
 
-def _known(sent: F64, values: F64, rows: F64) -> Any:
+def _known(sent: F64, values: F64, rows: F64) -> Bool:
     """(R,) rows whose command is known: those within a gap of a steady stream of commands, which differ before and
     after it, are not, nor those after its end. Single goals hold until the next one."""
     usual, known = usual_step(sent), np.ones(len(rows), bool)

@@ -21,6 +21,7 @@ from realsim.core.files import (
     write_bytes,
     write_text,
 )
+from realsim.core.types import MjSpec
 from realsim.gap.recordings.arrays import run_arrays
 from realsim.gap.recordings.depth import write_frames
 from realsim.gap.recordings.model import Target
@@ -155,7 +156,7 @@ def _write_model(target: Target, work: Path) -> None:
     write_text(work / "model.xml", spec.to_xml())
 
 
-def _assets(spec: Any) -> list[tuple[Any, str]]:
+def _assets(spec: MjSpec) -> list[tuple[Any, str]]:
     """Meshes, height fields and textures with the folder that their names are relative to."""
     found = [(m, spec.meshdir) for m in (*spec.meshes, *spec.hfields)]
     return found + [(t, spec.texturedir) for t in spec.textures]

@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from realsim.core.errors import GapError
 from realsim.core.files import check_size
 from realsim.core.models import load_mjcf
-from realsim.core.types import F64
+from realsim.core.types import F64, MjModel, MjSpec
 from realsim.gap.recordings.vocabulary import english
 
 MAX_MODEL_BYTES = 64 * 2**20
@@ -26,8 +25,8 @@ class Target:
     """A model, by joints (J hinge and slide joints in its order) and actuators (U)."""
 
     path: Path
-    spec: Any = field(repr=False)
-    model: Any = field(repr=False)
+    spec: MjSpec = field(repr=False)
+    model: MjModel = field(repr=False)
     joints: tuple[str, ...] = ()
     actuators: tuple[str, ...] = ()
     driven: tuple[str, ...] = ()

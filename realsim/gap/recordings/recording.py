@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from realsim.core.errors import GapError, RealsimError
-from realsim.core.types import F64
+from realsim.core.types import F64, Bool
 
 MAX_VALUES = 60_000_000
 """Numbers that a recording may hold in memory. Beyond, a window of time has to be asked for. At the peak each takes 28
@@ -134,7 +134,7 @@ def no_samples(
     return GapError("the recording has no samples", file=path, expected=what, found=there or "nothing", hint=hint)
 
 
-def in_window(times: F64, window: Window) -> Any:
+def in_window(times: F64, window: Window) -> Bool:
     """(T,) which samples of an increasing clock in s lie in the window."""
     if window.whole or not len(times):
         return np.ones(len(times), bool)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import combinations, product
-from typing import Any
 
 import numpy as np
 
-from realsim.core.types import F64
+from realsim.core.types import F64, MjData
 from realsim.gap.answer.arrays import Arrays
 from realsim.gap.answer.diagnosis import Diagnosis
 from realsim.gap.case.case import Case
@@ -51,7 +50,7 @@ def _key(found: Diagnosis) -> str:
     return page.legend([("where the diagnosis puts the cause", f"rgb{_MARK}")] if placed else [])
 
 
-def first_pose(case: Case) -> Any:
+def first_pose(case: Case) -> MjData:
     """mujoco.MjData at the beginning of the first run, positions only."""
     import mujoco
 
@@ -84,7 +83,7 @@ def _air(P: F64) -> Layer:
     return Layer("robot", np.stack([middle - half, middle + half]), [[0, 0, 1]])
 
 
-def _marks(found: Diagnosis, case: Case, data: Any) -> Iterator[Solid]:
+def _marks(found: Diagnosis, case: Case, data: MjData) -> Iterator[Solid]:
     """A ring about the axis of every joint, and a cage around every body, that a cause names."""
     size = extent(case.model, data)
     for cause in found.causes:

@@ -10,12 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from realsim.core.errors import GapError
-from realsim.core.types import F64
+from realsim.core.types import F64, MjModel
 from realsim.gap.case.case import Run
 from realsim.gap.case.model.edit import Edit
 from realsim.gap.case.motion import Motion, estimate
@@ -142,7 +142,7 @@ class _Replay:
         return np.concatenate([tracks["pos"], tracks["base_pos"], turn], axis=1)
 
 
-def _in_contact(model: Any, motion: Motion, every: float = 0.1) -> bool:
+def _in_contact(model: MjModel, motion: Motion, every: float = 0.1) -> bool:
     """Whether the robot touches anything in some state of the log."""
     import mujoco
 

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
-from realsim.core.types import F64
+from realsim.core.types import F64, Bool, MjModel
 from realsim.gap.case.case import Case, Run
 from realsim.gap.case.model.context import Context
 from realsim.gap.case.model.edit import Edit
@@ -20,7 +19,7 @@ LIMIT = 1e4
 
 def controls(
     context: Context,
-    model: Any,
+    model: MjModel,
     run: Run,
     edit: Edit,
     steps: int,
@@ -79,7 +78,7 @@ def _at_posture(case: Case, first: F64, start: Start) -> F64:
     return held
 
 
-def switched_off(case: Case, model: Any, run: Run, edit: Edit, steps: int, settle: int) -> Any:
+def switched_off(case: Case, model: MjModel, run: Run, edit: Edit, steps: int, settle: int) -> Bool | None:
     """(steps, U) bool of actuators that give no force at a step, or None; before the run as at its first sample."""
     if run.enabled is None:
         return None
@@ -91,7 +90,7 @@ def switched_off(case: Case, model: Any, run: Run, edit: Edit, steps: int, settl
     return off
 
 
-def tracks_of(context: Context, model: Any, sensors: F64, settle: int, edit: Edit) -> dict[str, F64]:
+def tracks_of(context: Context, model: MjModel, sensors: F64, settle: int, edit: Edit) -> dict[str, F64]:
     """Signals on the simulator's grid, from the first settling step; NaN after a failure. `sensors`: (N, S)."""
     case = context.case
 

@@ -8,12 +8,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
 from realsim.core.errors import GapError
-from realsim.core.types import F64
+from realsim.core.types import F64, Bool, MjModel, MjSpec
 from realsim.gap.case.case import Case, Run
 from realsim.gap.case.model.channels import Channel as Channel
 from realsim.gap.case.model.channels import channels
@@ -240,7 +239,7 @@ class Simulator:
         return found
 
     def _rolled_out(
-        self, edit: Edit, spec: Any, runs: Sequence[Run], coarse: int, begun: Sequence[Start], seconds: float
+        self, edit: Edit, spec: MjSpec, runs: Sequence[Run], coarse: int, begun: Sequence[Start], seconds: float
     ) -> list[dict[str, F64]]:
         """The same of runs that share a spec."""
         try:
@@ -266,12 +265,15 @@ class Simulator:
         offs = [None if off[i] is None else off[i][rows] for i, _, rows in parts]
         rolled = iter(self.rolled(model, states, [control[i][rows] for i, _, rows in parts], edit, offs))
         sensors = [np.concatenate([next(rolled) for _ in e[1:]]) for e in edges]
-        with self._counting:
-            self.simulated_seconds += float(sum(steps)) * dt
         return [tracks_of(self.context, model, s, k, edit) for s, k in zip(sensors, settle, strict=True)]
 
     def rolled(
-        self, model: Any, states: Sequence[F64], controls: Sequence[F64], edit: Edit, off: Sequence[Any] | None = None
+        self,
+        model: MjModel,
+        states: Sequence[F64],
+        controls: Sequence[F64],
+        edit: Edit,
+        off: Sequence[Bool | None] | None = None,
     ) -> list[F64]:
         """(T, S) sensors a run, from (X,) full physics states under (T, U) controls.
 
@@ -283,6 +285,8 @@ class Simulator:
             laws = gears(model, edit.signals.load_friction, drives)
             step = partial(stepped, laws, waves=waves(model, edit.signals.position_torque))
         jobs = list(zip(states, controls, off or [None] * len(states), strict=True))
+        with self._counting:
+            self.simulated_seconds += float(sum(map(len, controls))) * float(model.opt.timestep)
         with quiet_mujoco():
             return list(self.cores.each(lambda run: switched(step, model, *run), jobs))
 

@@ -11,11 +11,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from realsim.core.types import F64
+from realsim.core.types import F64, Bool
 from realsim.gap.case.case import Case, Run
 from realsim.gap.case.motion import differences, estimate, median_size
 from realsim.gap.simulation.state import AT_REST, Start
@@ -275,14 +275,14 @@ def first_fit(time: F64, values: F64, degree: int, rates: F64 | None = None) -> 
     return place, slope
 
 
-def _still(time: F64, values: F64) -> Any:
+def _still(time: F64, values: F64) -> Bool:
     """(K,) whether (T, K) readings stand still at first: a late response must not become a first speed."""
     k = min(max(int(np.searchsorted(time, AT_FIRST)), 1), len(time) - 1)
     least = np.maximum(NOISES * np.sqrt(2) * _noise(values), AT_REST * time[k])
     return np.abs(values[k] - values[0]) < least
 
 
-def _beginning(time: F64) -> Any:
+def _beginning(time: F64) -> Bool:
     return time <= max(FIRST, float(time[min(6, len(time) - 1)]))
 
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from realsim.core.errors import GapError
-from realsim.core.types import F64
+from realsim.core.types import F64, MjData, MjModel
 from realsim.gap.case.case import Case, Run
 from realsim.gap.case.model.edit import Edit
 from realsim.gap.simulation.stepping import fresh
@@ -65,7 +64,7 @@ class Start:
         return replace(self, anchors=()) if k == 0 else Start("log", self.anchors[k - 1].qpos, self.anchors[k - 1].qvel)
 
 
-def initial_state(case: Case, model: Any, run: Run, edit: Edit, start: Start | None = None) -> F64:
+def initial_state(case: Case, model: MjModel, run: Run, edit: Edit, start: Start | None = None) -> F64:
     """(S,) full physics state of a changed model at the first sample: `start`'s, or the logged pose without motion."""
     import mujoco
 
@@ -101,7 +100,7 @@ def initial_state(case: Case, model: Any, run: Run, edit: Edit, start: Start | N
     return state
 
 
-def _set_speeds(nominal: Any, model: Any, data: Any, edit: Edit, qvel: F64) -> None:
+def _set_speeds(nominal: MjModel, model: MjModel, data: MjData, edit: Edit, qvel: F64) -> None:
     """A rotor behind play or a spring moves with its joint."""
     for j in range(nominal.njnt):
         name = nominal.joint(j).name
@@ -112,7 +111,7 @@ def _set_speeds(nominal: Any, model: Any, data: Any, edit: Edit, qvel: F64) -> N
             data.qvel[model.joint(edit.signals.rotors[name]).dofadr[0]] = qvel[a]
 
 
-def _counterpart(nominal: Any, model: Any, joint: int) -> int:
+def _counterpart(nominal: MjModel, model: MjModel, joint: int) -> int:
     """Index of a nominal joint in a changed model. Effects add only joints with names, so nameless ones keep order."""
     name = nominal.joint(joint).name
     if name:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from realsim.core.types import F64
+from realsim.core.types import F64, Bool, MjData, MjModel
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Gear:
     """Of the actuator's force, N m: what the joint's own limit lets through."""
 
 
-def gears(model: Any, load_friction: Mapping[str, float], drives: Mapping[str, tuple[str, str]]) -> list[Gear]:
+def gears(model: MjModel, load_friction: Mapping[str, float], drives: Mapping[str, tuple[str, str]]) -> list[Gear]:
     """`load_friction`: joint -> ratio. `drives`: joint -> (joint on the motor's side, actuator)."""
     found = []
     for joint, ratio in load_friction.items():
@@ -63,7 +63,7 @@ class Waves:
         return self.constant + (self.cosine * np.cos(angle) + self.sine * np.sin(angle)).sum(axis=1)
 
 
-def waves(model: Any, position_torque: Mapping[str, Sequence[float]]) -> Waves | None:
+def waves(model: MjModel, position_torque: Mapping[str, Sequence[float]]) -> Waves | None:
     """`position_torque`: joint -> constant, cosine, sine, cosine of twice the angle, ... None of none."""
     if not position_torque:
         return None
@@ -73,7 +73,7 @@ def waves(model: Any, position_torque: Mapping[str, Sequence[float]]) -> Waves |
     return Waves(np.array(address), np.array(dof), series[:, 0], series[:, 1::2], series[:, 2::2])
 
 
-def spare(model: Any) -> None:
+def spare(model: MjModel) -> None:
     """Take from the model what costs time at every step and cannot change one: a sixth of an arm's, in place.
 
     A sweep for contacts where no two shapes may touch, and the sorting into islands of what is one tree anyway.
@@ -85,7 +85,7 @@ def spare(model: Any) -> None:
     model.opt.disableflags |= int(idle)
 
 
-def _may_touch(model: Any) -> bool:
+def _may_touch(model: MjModel) -> bool:
     moving = model.body_weldid[model.geom_bodyid] != 0
     types, affinities = model.geom_contype, model.geom_conaffinity
     all_of = np.bitwise_or.reduce
@@ -96,7 +96,7 @@ def _may_touch(model: Any) -> bool:
 _HERE = threading.local()
 
 
-def fresh(model: Any) -> Any:
+def fresh(model: MjModel) -> MjData:
     """The calling thread's MjData of a model, as new. Python's side of one is many arrays, which take longer to make
     than hundreds of a small robot's steps."""
     import mujoco
@@ -111,7 +111,7 @@ Roller = Callable[[Any, F64, F64], tuple[F64, F64]]
 """(model, (X,) full physics state to begin in, (T, U) control) -> ((T, S) sensors, (X,) state at the end)."""
 
 
-def switched(step: Roller, model: Any, state: F64, control: F64, off: Any = None) -> F64:
+def switched(step: Roller, model: MjModel, state: F64, control: F64, off: Bool | None = None) -> F64:
     """(T, S) sensors of a run whose actuators give no force where `off` (T, U) is true: piece by piece."""
     if off is None or not off.any():
         return step(model, state, control)[0]
@@ -131,7 +131,7 @@ def switched(step: Roller, model: Any, state: F64, control: F64, off: Any = None
     return np.concatenate(parts)
 
 
-def rolled(model: Any, state: F64, control: F64) -> tuple[F64, F64]:
+def rolled(model: MjModel, state: F64, control: F64) -> tuple[F64, F64]:
     """A run of T steps in one go: a `Roller`.
 
     Args:
@@ -145,7 +145,9 @@ def rolled(model: Any, state: F64, control: F64) -> tuple[F64, F64]:
     return np.asarray(sensors[0]), np.asarray(states[0, -1])
 
 
-def stepped(laws: Sequence[Gear], model: Any, state: F64, control: F64, waves: Waves | None = None) -> tuple[F64, F64]:
+def stepped(
+    laws: Sequence[Gear], model: MjModel, state: F64, control: F64, waves: Waves | None = None
+) -> tuple[F64, F64]:
     """The same under laws of friction that go with the torque of the step before, and torques that go with positions.
 
     NaN from where MuJoCo gives it up.

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
+from realsim.core.types import MjModel
 from realsim.gap.case.case import Case
 from realsim.gap.case.model.context import base_body
 
@@ -20,7 +20,7 @@ UNITS = {
 _SLIDE_UNITS = {"joint_pos": "m", "joint_vel": "m/s", "joint_torque": "N"}
 
 
-def unit_of(signal: str, label: str, model: Any) -> str:
+def unit_of(signal: str, label: str, model: MjModel) -> str:
     """Unit of a channel; sliding joints have metres."""
     if signal in _SLIDE_UNITS and int(model.joint(label).type[0]) == 2:
         return _SLIDE_UNITS[signal]

@@ -6,11 +6,10 @@ import re
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
-from realsim.core.types import F64
+from realsim.core.types import F64, MjData, MjModel, MjSpec
 from realsim.gap.case.case import FILTERS, Case
 from realsim.gap.case.model.deviations import Deviations
 
@@ -20,7 +19,7 @@ class Context:
     """Parts of the robot and figures of the nominal simulation. Joints are those that are logged."""
 
     case: Case
-    spec: Any
+    spec: MjSpec
     """MjSpec with the sensors that the simulator reads; copied for every edit."""
     timestep: float
     driven: list[str]
@@ -151,25 +150,16 @@ def build_context(case: Case) -> Context:
     import mujoco
 
     model = case.model
-    actuator = {}
-    for joint in case.joint_names:
-        name = case.actuator_of(joint)
-        if name is not None:
-            actuator[joint] = name
-    moving = [i for i in range(1, model.nbody) if _moves(model, i)]
+    actuator = {joint: name for joint in case.joint_names if (name := case.actuator_of(joint)) is not None}
+    moves = model.body_weldid != 0
+    moving = [i for i in range(1, model.nbody) if moves[i]]
     total = float(sum(model.body_mass[i] for i in moving))
     bodies = [model.body(i).name for i in moving if model.body_mass[i] >= 0.001 * total and model.body(i).name]
-    static = [i for i in range(1, model.nbody) if not _moves(model, i)]
-    touchable = (model.geom_contype | model.geom_conaffinity) > 0
-    terrain = [model.body(i).name for i in static if _collides(model, i, touchable) and model.body(i).name]
-    touches = any(
-        _can_touch(model, a, b)
-        for a in range(model.ngeom)
-        if not _moves(model, int(model.geom_bodyid[a]))
-        for b in range(model.ngeom)
-        if _moves(model, int(model.geom_bodyid[b]))
-    )
-    touches = touches and case.floating
+    types, affinities, ours = model.geom_contype, model.geom_conaffinity, moves[model.geom_bodyid]
+    solid = set(model.geom_bodyid[(types | affinities) > 0].tolist())
+    terrain = [model.body(i).name for i in sorted(solid) if i and not moves[i] and model.body(i).name]
+    meet = types[ours] & affinities[~ours][:, None] | types[~ours][:, None] & affinities[ours]
+    touches = bool(case.floating and meet.any())
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     full = np.zeros((model.nv, model.nv))
@@ -191,7 +181,7 @@ def build_context(case: Case) -> Context:
     )  # fmt: skip
 
 
-def instrumented(case: Case) -> Any:
+def instrumented(case: Case) -> MjSpec:
     """The nominal spec with the sensors that the comparison needs, and nothing that could reset it silently."""
     import mujoco
 
@@ -258,20 +248,7 @@ def _turns(values: F64, threshold: float) -> int:
     return int((np.diff(signs) != 0).sum())
 
 
-def _moves(model: Any, body: int) -> bool:
-    return bool(model.body_weldid[body] != 0)
-
-
-def _collides(model: Any, body: int, touchable: Any) -> bool:
-    return any(touchable[g] for g in range(model.ngeom) if model.geom_bodyid[g] == body)
-
-
-def _can_touch(model: Any, a: int, b: int) -> bool:
-    t, c = model.geom_contype, model.geom_conaffinity
-    return bool((t[a] & c[b]) | (t[b] & c[a]))
-
-
-def _full_mass(model: Any, data: Any, out: F64) -> None:
+def _full_mass(model: MjModel, data: MjData, out: F64) -> None:
     import mujoco
 
     try:

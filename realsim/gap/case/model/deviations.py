@@ -35,7 +35,9 @@ class Deviations:
         return None if size is None else float(size)
 
 
-def with_deviations(name: str, parameters: tuple[Any, ...], place: tuple[str, ...], known: Deviations) -> tuple:
+def with_deviations(
+    name: str, parameters: tuple[Any, ...], place: tuple[str, ...], known: Deviations
+) -> tuple[Any, ...]:
     """Parameters of an effect at a place, with the user's sizes for the library's."""
     if name not in known.sizes:
         return parameters

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from realsim.core.types import F64
+from realsim.core.types import F64, MjSpec
 from realsim.gap.case.setups import Setup
 
 if TYPE_CHECKING:
@@ -135,7 +135,7 @@ class Signals:
 class Edit:
     """A simulator being changed. The spec is copied when it is first touched."""
 
-    def __init__(self, context: Context, onsets: Mapping[str, float] | None = None, spec: Any = None) -> None:
+    def __init__(self, context: Context, onsets: Mapping[str, float] | None = None, spec: MjSpec = None) -> None:
         """`onsets`: run -> s at which pulses by onset begin. `spec`: changed in place; if None, the context's copy."""
         self.context = context
         self.onsets = dict(onsets or {})
@@ -158,7 +158,7 @@ class Edit:
         return self._spec is not None
 
     @property
-    def spec(self) -> Any:
+    def spec(self) -> MjSpec:
         self._asked += 1
         if self._spec is None:
             self._spec = self.context.spec.copy()
@@ -305,7 +305,7 @@ class Edit:
         """The simulator of a run."""
         return self if self.later is None or not setup.later else self.later
 
-    def set_up(self, setup: Setup) -> Any:
+    def set_up(self, setup: Setup) -> MjSpec:
         """The spec as it is in a run that is known to differ from model.xml; a copy where it does.
 
         Gains are taken as ratios on the model's, so that an effect's ratio counts on top of them.

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from realsim.core.geometry import exp_so3
-from realsim.core.types import F64
+from realsim.core.types import F64, MjData, MjModel
 from realsim.gap.case.case import Case
 from realsim.gap.case.motion import Motion, estimate
 from realsim.gap.checks.camera.recorded import DepthCamera, Frames
@@ -124,7 +124,7 @@ class View:
         return np.array(found)
 
 
-def _cast(model: Any, data: Any, place: F64, directions: F64, exclude: int = -1) -> tuple[F64, Any]:
+def _cast(model: MjModel, data: MjData, place: F64, directions: F64, exclude: int = -1) -> tuple[F64, Any]:
     import mujoco
 
     count = len(directions)

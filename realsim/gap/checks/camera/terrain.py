@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from realsim.core.errors import GapError
 from realsim.core.models import load_mjcf
-from realsim.core.types import F64
+from realsim.core.types import F64, MjData, MjModel, MjSpec
 
 CELL = 0.3
 """m: a geom that is larger is divided into squares of this size, about what a robot's foot treads on in one place."""
@@ -20,10 +19,10 @@ CELL = 0.3
 class Terrain:
     """What stands still in a scene and can be touched."""
 
-    spec: Any
+    spec: MjSpec
     """mujoco.MjSpec, unchanged."""
-    model: Any
-    data: Any
+    model: MjModel
+    data: MjData
     file: Path
 
     def below(self, point: F64, above: float) -> tuple[float, int]:
@@ -78,7 +77,7 @@ def load_terrain(path: Path) -> Terrain:
     return terrain_of(spec, model, path)
 
 
-def terrain_of(spec: Any, model: Any, file: Path) -> Terrain:
+def terrain_of(spec: MjSpec, model: MjModel, file: Path) -> Terrain:
     """The static, colliding geoms of a compiled model; its groups and colours are overwritten, so give it a copy."""
     import mujoco
 

@@ -6,6 +6,7 @@ from math import degrees
 
 import numpy as np
 
+from realsim.core.types import F64
 from realsim.gap.checks.camera.calibrate import CameraFound
 from realsim.gap.checks.camera.terrain import Terrain
 from realsim.gap.checks.footholds.footholds import Foothold, FootholdMap
@@ -80,7 +81,7 @@ def _map(found: FootholdMap, terrain: Terrain) -> str:
     return axes.svg("footholds from above")
 
 
-def _outlines(terrain: Terrain, low: np.ndarray, high: np.ndarray) -> list[np.ndarray]:
+def _outlines(terrain: Terrain, low: F64, high: F64) -> list[F64]:
     """Boxes of the terrain from above, as far as they lie on the map."""
     found = []
     model, data = terrain.model, terrain.data

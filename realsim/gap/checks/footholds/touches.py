@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
 from realsim.core.errors import GapError
-from realsim.core.types import F64
+from realsim.core.types import F64, MjData, MjModel
 from realsim.gap.case.case import Case, Run
 from realsim.gap.case.motion import Motion, estimate
 from realsim.gap.checks.camera.terrain import Terrain
@@ -116,7 +115,7 @@ def _check(case: Case) -> None:
         )
 
 
-def underside(model: Any, body: str) -> list[Part]:
+def underside(model: MjModel, body: str) -> list[Part]:
     """All that a foot can touch with."""
     import mujoco
 
@@ -163,7 +162,7 @@ class Part:
     points: F64
     radius: float = 0.0
 
-    def world(self, data: Any) -> F64:
+    def world(self, data: MjData) -> F64:
         """(P, 3) m: of balls, points of their lower halves, the lowest among them."""
         found = self.points @ data.geom_xmat[self.geom].reshape(3, 3).T + data.geom_xpos[self.geom]
         if not self.radius:
@@ -302,7 +301,7 @@ class _Sole:
         return np.mean(steps, axis=0)[:2]
 
 
-def clearance(terrain: Terrain, data: Any, points: list[Part]) -> tuple[float, int, F64]:
+def clearance(terrain: Terrain, data: MjData, points: list[Part]) -> tuple[float, int, F64]:
     """(m that a foot could sink until it touches, the geom it would touch, where); (inf, -1, ...) out of reach.
 
     The least distance, straight down, of the lower half of its surface: so a round foot beside a higher edge is held

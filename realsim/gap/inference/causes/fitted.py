@@ -14,8 +14,11 @@ from realsim.gap.effects.base import Parameter, Place
 from realsim.gap.effects.lookup import lookup
 from realsim.gap.inference.likelihood.conditions import Conditions
 from realsim.gap.inference.likelihood.linear import Evidence
-from realsim.gap.inference.likelihood.screen import Candidate
+from realsim.gap.inference.likelihood.screen import Candidate, Key
 from realsim.gap.simulation.simulate import Setting
+
+EffectSet = frozenset[tuple[str, tuple[Place, ...]]]
+"""Of a set of causes: their effects, each with its places."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +61,11 @@ class Fit:
         """(p,) nuisance parameters that were simulated."""
         return self.conditions.about
 
+    @property
+    def sigmas(self) -> F64:
+        """(m,) standard errors of all values in a row."""
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+
     def under(self, **changes: Any) -> Fit:
         """The same, to be compared under other conditions."""
         return replace(self, conditions=replace(self.conditions, **changes))
@@ -66,12 +74,12 @@ class Fit:
         return [s for c in self.causes for s in c.settings()]
 
     @property
-    def key(self) -> frozenset:
+    def key(self) -> EffectSet:
         """The set of causes, whatever their parameters: effects at places."""
         return frozenset((c.candidate.effect, c.candidate.places) for c in self.causes)
 
     @property
-    def full_key(self) -> frozenset:
+    def full_key(self) -> frozenset[Key]:
         """The set of causes with the parameters that are fitted."""
         return frozenset(c.candidate.key for c in self.causes)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Self, TypeVar
 
@@ -32,7 +32,7 @@ class Rough:
 
     runs: tuple[int, ...]
     """Positions among the screened runs."""
-    of: tuple = ()
+    of: tuple[Hashable, ...] = ()
     """What the set is, where steps are coarse."""
     added: tuple[F64, ...] = field(default=(), compare=False)
     """(T, C) a run: the set's prediction at fine steps without that at coarse ones; none where steps are fine."""
@@ -123,11 +123,12 @@ class GaussNewton:
             slopes = self.slopes(causes, base, few)
             if slopes is None:
                 break
-            steps = self._steps(causes, base, slopes, damping, few)
+            looks = self.normal(causes, base, slopes, few).looks()  # with all runs, and with the better half
+            steps = [self._step(causes, look, damping) for look in looks]
             for shrink in (1.0, 0.4, 0.1):
                 there = [at(causes, clip(z + shrink * step, parameters)) for step in steps]
-                looks = list(self.each(lambda moved: np.inf if (m := self.misfit(moved, few)) is None else m, there))
-                new, moved = min(zip(looks, there, strict=True), key=lambda look: look[0])
+                found = self.each(lambda moved: np.inf if (m := self.misfit(moved, few)) is None else m, there)
+                new, moved = min(zip(found, there, strict=True), key=lambda look: look[0])
                 if new < misfit - 1e-3:
                     causes, misfit, damping = moved, new, max(damping / 5, 1e-6)
                     break
@@ -210,11 +211,6 @@ class GaussNewton:
         info = A[p:, p:] - A[p:, :p] @ cov @ A[:p, p:]
         return info, np.array([b[p:] - a[p:, :p] @ mean for a, b in zip(evidence.A, evidence.b, strict=True)])
 
-    def _steps(self, causes: Causes, base: list[F64], slopes: list[F64], damping: float, few: Few) -> list[F64]:
-        """Steps to try: that of all runs, and that of the better half."""
-        looks = self.normal(causes, base, slopes, few).looks()
-        return [self._step(causes, look, damping) for look in looks]
-
     def _step(self, causes: Causes, evidence: Evidence, damping: float) -> F64:
         """(m,) Levenberg-Marquardt's step, with the nuisances that go along within their bounds; a value that leans on
         its bound stays there."""
@@ -255,5 +251,5 @@ def _stiff(causes: Causes) -> bool:
     return any(lookup(c.candidate.effect).law.stiff for c in causes)
 
 
-def _key(causes: Causes) -> tuple:
+def _key(causes: Causes) -> tuple[Hashable, ...]:
     return tuple((c.candidate.key, c.values) for c in causes)

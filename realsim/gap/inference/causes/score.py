@@ -2,31 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 
-from realsim.core.types import F64
 from realsim.gap import figures
+from realsim.gap.effects.base import Place
 from realsim.gap.effects.lookup import lookup
-from realsim.gap.inference.causes.fit import Cause, Fit, Fitter
+from realsim.gap.inference.causes.fit import Fit, Fitter
 from realsim.gap.inference.causes.fitted import imitates
 from realsim.gap.inference.causes.leftover import leftover
 from realsim.gap.inference.causes.starts import contains, twins
 from realsim.gap.inference.likelihood.screen import Screen
-
-
-class Estimated(Protocol):
-    """Causes with the covariance of their values."""
-
-    @property
-    def causes(self) -> Sequence[Cause]: ...
-
-    @property
-    def covariance(self) -> F64: ...
-
 
 Held = tuple[float, float]
 """(mean, standard error) of a gain on runs that are left out in turn."""
@@ -39,9 +26,8 @@ def score(fitter: Fitter, fit: Fit) -> float:
     screen, total = fitter.screen, fit.misfit + figures.PRICE * determined(fit)
     if fit.causes:
         dear = figures.CAUSE + figures.CAUSE_A_JOINT * len(screen.simulator.case.joint_names)
-        total += (float(np.log(len(screen.candidates))) if fitter.conditions.gap else dear) + (
-            len(fit.causes) - 1
-        ) * dear
+        first = float(np.log(len(screen.candidates))) if fitter.conditions.gap else dear
+        total += first + (len(fit.causes) - 1) * dear
     total += figures.SHARED * sum(len(c.candidate.places) > 1 for c in fit.causes)
     return total + figures.PRICE * sum(lookup(c.candidate.effect).rivals.commoner is not None for c in fit.causes)
 
@@ -51,7 +37,7 @@ def bent(before: Fit, fit: Fit) -> float:
     return figures.IMITATION * max(before.misfit - fit.misfit, 0.0) if imitates(fit) else 0.0
 
 
-def determined(fit: Estimated) -> float:
+def determined(fit: Fit) -> float:
     """How many parameters the data determine: a force across a planar arm is none."""
     sizes = np.array([2 * p.step for c in fit.causes for p in c.candidate.parameters])
     return float(np.clip(1 - np.diag(fit.covariance) / sizes**2, 0.0, 1.0).sum())
@@ -118,7 +104,7 @@ def alike(fitter: Fitter, best: Fit, rival: Fit, removed: float) -> bool:
     return held is None or not _holds(*held)
 
 
-def _kinds(screen: Screen, fit: Fit) -> set[tuple[str, tuple]]:
+def _kinds(screen: Screen, fit: Fit) -> set[tuple[str, tuple[Place, ...]]]:
     """Effects at places; twins have one name."""
     found = [(c.candidate, twins(screen.simulator, c.candidate.effect, c.candidate.place, c.named)) for c in fit.causes]
     return {(min([c.effect, *same]), c.places) for c, same in found}

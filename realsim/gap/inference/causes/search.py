@@ -16,11 +16,12 @@ import numpy as np
 from realsim.core.types import F64
 from realsim.gap import figures
 from realsim.gap.inference.causes.fit import Fit, Fitter
-from realsim.gap.inference.causes.fitted import Trial, exchanged, imitates
+from realsim.gap.inference.causes.fitted import EffectSet, Trial, exchanged, imitates
 from realsim.gap.inference.causes.gauss_newton import Few
 from realsim.gap.inference.causes.leftover import is_gap, leftover
 from realsim.gap.inference.causes.proposals import ADD, EXCHANGE, Proposal, Propose, ranked
 from realsim.gap.inference.causes.score import asked, bent, doubts, near, score, searched
+from realsim.gap.inference.likelihood.screen import Key
 
 Tick = Callable[[str, float], None]
 
@@ -34,7 +35,7 @@ class Search:
     """Causes of a set."""
     best: Fit
     """The set with the lowest score of those that nothing speaks against."""
-    seen: dict[frozenset, Fit] = field(default_factory=dict)
+    seen: dict[EffectSet, Fit] = field(default_factory=dict)
     gap: float = 0.0
     """Mean square above the floor that stays beside everyday deviations alone."""
     trials: list[Trial] = field(default_factory=list)
@@ -46,7 +47,7 @@ class Search:
         for gain, c, _ in ranked(self.fitter.screen, self.best):
             best.setdefault(c.effect, Trial(c, 0, gain, "screened"))
         self.trials = list(best.values())
-        expanded: set[frozenset] = set()
+        expanded: set[frozenset[Key]] = set()
         better = True
         while better:
             tick("search for causes", len(expanded) / (len(expanded) + 3))
@@ -135,7 +136,7 @@ class Search:
 
     def _proposed(self, moves: Sequence[Propose], here: Fit) -> Iterator[Proposal]:
         """Neighbours of a set; of those that begin from the linear estimate alone, each once."""
-        known: set[tuple] = set()
+        known: set[tuple[Key, ...]] = set()
         for p in (p for propose in moves for p in propose(self.fitter, here)):
             what = tuple(c.candidate.key for c in p.causes)
             if what not in known or p.starts:

@@ -9,7 +9,7 @@ from realsim.gap import figures
 from realsim.gap.effects.base import Place
 from realsim.gap.effects.lookup import lookup
 from realsim.gap.inference.causes.fitted import Cause
-from realsim.gap.inference.likelihood.screen import Candidate, Screen
+from realsim.gap.inference.likelihood.screen import Candidate, Key, Screen
 from realsim.gap.simulation.simulate import Simulator
 
 Guess = F64 | dict[str, float]
@@ -47,7 +47,7 @@ def suggested(screen: Screen, cause: Cause) -> list[tuple[Candidate, list[list[f
     """(candidate, values to begin from) of what may stand in a cause's place: the same with all its parameters, and
     what its effect suggests."""
     own = cause.candidate
-    found: dict[tuple, tuple[Candidate, list[list[float]]]] = {}
+    found: dict[Key, tuple[Candidate, list[list[float]]]] = {}
     more = [c for c in screen.candidates if nested(c, own) and len(c.names) > len(own.names)]
     for full in sorted(more, key=lambda c: -len(c.names))[:1]:
         found[full.key] = full, [[cause.named.get(p.name, p.default) for p in full.parameters]]

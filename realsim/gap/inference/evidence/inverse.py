@@ -14,10 +14,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from realsim.core.statistics import interval90, resampled
-from realsim.core.types import F64
+from realsim.core.types import F64, Bool, MjData, MjModel
 from realsim.gap.case.case import Case, Run
 from realsim.gap.case.model.edit import Edit
 from realsim.gap.case.motion import Motion, blur, estimate
@@ -70,7 +69,7 @@ class BaseWrench:
 def torque_residual(simulator: Simulator) -> TorqueResidual | None:
     """None for a floating base (its contact forces are unknown), or where no torque was logged away from the stops."""
     case = simulator.case
-    if case.floating or not _has_torque(case):
+    if case.floating or not (case.command_kind == "torque" or _measured(case)):
         return None
     import mujoco
 
@@ -117,13 +116,13 @@ def _undriven(v: F64, torque: F64, residual: F64) -> float:
     return _left(X, y)[0] / float(np.sum((y - y.mean()) ** 2))
 
 
-def _has_torque(case: Case) -> bool:
-    return case.command_kind == "torque" or (case.has("joint_torque") and case.torque_kind != "none")
+def _measured(case: Case) -> bool:
+    return case.has("joint_torque") and case.torque_kind != "none"
 
 
 def _torque(case: Case, run: Run) -> F64:
     """(T, J) of the drives, N m: measured, or commanded where no torque is; NaN for joints without a drive."""
-    if case.has("joint_torque") and case.torque_kind != "none":
+    if _measured(case):
         return run.signals["joint_torque"]
     found = np.full(run.signals["joint_pos"].shape, np.nan)
     for j, joint in enumerate(case.joint_names):
@@ -199,7 +198,7 @@ def base_wrench(simulator: Simulator, seed: int = 0) -> BaseWrench | None:
     return BaseWrench(mean, ends, float(-mean[2] / GRAVITY))
 
 
-def _lacking(case: Case, model: Any, data: Any, run: Run, motion: Motion, n: int) -> F64 | None:
+def _lacking(case: Case, model: MjModel, data: MjData, run: Run, motion: Motion, n: int) -> F64 | None:
     """(6,) wrench missing in the base's rows at one state, or None if nothing touches the ground."""
 
     joint = int(np.flatnonzero(model.jnt_type == 0)[0])
@@ -225,7 +224,7 @@ def _lacking(case: Case, model: Any, data: Any, run: Run, motion: Motion, n: int
     return np.asarray((rest - J.T @ force)[base])
 
 
-def needed_force(model: Any, data: Any, motion: Motion, n: int) -> F64:
+def needed_force(model: MjModel, data: MjData, motion: Motion, n: int) -> F64:
     """(nv,) generalised force that the model needs for a state and its acceleration, without contacts or stops."""
     import mujoco
 
@@ -240,7 +239,7 @@ def needed_force(model: Any, data: Any, motion: Motion, n: int) -> F64:
     return np.array(data.qfrc_inverse)
 
 
-def at_stop(model: Any, qpos: F64) -> npt.NDArray[np.bool_]:
+def at_stop(model: MjModel, qpos: F64) -> Bool:
     """(nv,) whether a hinge or slide is at the end of its range."""
     found = np.zeros(model.nv, bool)
     ends = model.jnt_limited.astype(bool) & (model.jnt_type >= 2)  # mjJNT_SLIDE, mjJNT_HINGE
@@ -249,7 +248,7 @@ def at_stop(model: Any, qpos: F64) -> npt.NDArray[np.bool_]:
     return found
 
 
-def drive_force(case: Case, model: Any, data: Any, run: Run, when: float) -> F64:
+def drive_force(case: Case, model: MjModel, data: MjData, run: Run, when: float) -> F64:
     """(nv,) of the drives: the logged torque if torques were measured, else the servos' law at the logged state.
 
     NaN for a joint whose torque this run does not have.
@@ -273,7 +272,7 @@ def drive_force(case: Case, model: Any, data: Any, run: Run, when: float) -> F64
     return force
 
 
-def _contact_rows(case: Case, model: Any, data: Any, run: Run, when: float) -> F64 | None:
+def _contact_rows(case: Case, model: MjModel, data: MjData, run: Run, when: float) -> F64 | None:
     """(K, nv): three rows for each body that touches, at the middle of its contacts, and three more for a flat foot."""
     import mujoco
 

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from realsim.core.types import F64
 from realsim.gap.case.case import Run
+from realsim.gap.case.model.edit import Edit
 from realsim.gap.case.motion import Motion, estimate
 from realsim.gap.simulation.control import controls, switched_off, tracks_of
 from realsim.gap.simulation.simulate import Setting, Simulator, rotation_from, sample
@@ -106,7 +106,6 @@ def shoot(
         rolled = simulator.rolled(model, [states[k] for k in of], [inputs[k] for k in of], edit, [offs[k] for k in of])
         for k, rows_of in zip(of, rolled, strict=True):
             sensors[k] = rows_of
-    simulator.simulated_seconds += len(states) * count * dt
     names, rows = _names(simulator), []
     for s, (run, motion, n) in zip(sensors, seen, strict=True):
         track = tracks_of(simulator.context, models[run.setup], s, 0, edit)
@@ -136,7 +135,7 @@ def _names(simulator: Simulator) -> list[tuple[str, str]]:
 
 
 def _errors(
-    simulator: Simulator, run: Run, motion: Motion, n: int, track: dict[str, F64], seconds: F64, dt: float, edit: Any
+    simulator: Simulator, run: Run, motion: Motion, n: int, track: dict[str, F64], seconds: F64, dt: float, edit: Edit
 ) -> F64:
     """(H, K) of one window."""
     s = edit.signals

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from realsim.core.types import F64
+from realsim.core.types import F64, Bool, MjModel
 from realsim.gap.case.model.context import base_body
 from realsim.gap.case.model.edit import Edit, put
 from realsim.gap.inference.likelihood.comparison import Comparison
@@ -126,7 +126,7 @@ def _variance(values: Sequence[F64], found: Sequence[_Second]) -> F64:
 
 
 def _as_pushes(
-    comparison: Comparison, run: int, y: F64, slopes: F64, sides: Sequence[F64], rows: Any
+    comparison: Comparison, run: int, y: F64, slopes: F64, sides: Sequence[F64], rows: Bool
 ) -> tuple[F64, F64]:
     """((6, K) pushes that explain each of K (B, C) in some bins best, (6, 6) covariance by the floor)."""
     push = np.stack([comparison.change(run, y + slopes[:, :, k], y) for k in range(slopes.shape[2])], axis=2)
@@ -170,7 +170,7 @@ def _pushed(simulator: Simulator, axis: int) -> Edit:
     return edit
 
 
-def _aside(model: Any, start: Start, dof: int) -> Start:
+def _aside(model: MjModel, start: Start, dof: int) -> Start:
     """All parts begun a little aside in one position, or from nv on one speed."""
     import mujoco
 

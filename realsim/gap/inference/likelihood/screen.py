@@ -11,7 +11,6 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import zip_longest
-from typing import Any
 
 import numpy as np
 
@@ -31,6 +30,9 @@ from realsim.gap.simulation.simulate import Setting, Simulator
 
 SLIDING = {"N m": "N", "N m s/rad": "N s/m", "kg m^2": "kg", "rad": "m", "rad/s": "m/s"}
 """Unit of a parameter at a joint that turns -> at one that slides."""
+
+Key = tuple[str, Place, tuple[str, ...]]
+"""Of a candidate: effect, all its joints or bodies, names of its parameters."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +67,7 @@ class Candidate:
         return tuple(n for p in self.places for n in p)
 
     @property
-    def key(self) -> tuple[str, Place, tuple[str, ...]]:
+    def key(self) -> Key:
         return self.effect, self.place, self.names
 
     def settings(self, values: dict[str, float]) -> list[Setting]:
@@ -401,7 +403,7 @@ class Screen:
         A, spectrum = made() if evidence.version < 0 else self._informed.get(key, made)
         return scaled(A, np.sum(evidence.b, axis=0), sum(evidence.c), prior, spectrum)
 
-    def fitted(self, k: int, x: F64) -> Any:
+    def fitted(self, k: int, x: F64) -> F32:
         """(B, C) change of the prediction of screened run k by atoms x."""
         change = self._columns[k] @ x.astype(np.float32)
         return change.reshape(-1, len(self.comparison.channels))
@@ -426,7 +428,7 @@ class Screen:
                 values.setdefault((atom.effect, atom.place), {})[atom.parameter.name] = value
         return [(name, place, named) for (name, place), named in values.items()]
 
-    def columns(self, k: int, index: Sequence[int]) -> Any:
+    def columns(self, k: int, index: Sequence[int]) -> F32:
         """(B * C, m) of some atoms on screened run k."""
         return self._columns[k][:, list(index)]
 
