@@ -203,7 +203,7 @@ def _assemble(
     runs = list(range(len(case.runs)))
     residuals = [comparison.residual(i, nominal[i]) for i in runs]
     where, shares = localise(comparison, residuals, runs, simulator.nominal_tracks)
-    gains = selection.gains if fit is selection.fit else {}
+    gains = selection.gains if fit.causes is selection.fit.causes else {}
     # What is at an end of its range only imitates something: what is not goes before it.
     order = sorted(range(len(fit.causes)), key=lambda i: (bool(at_an_end(fit.causes[i])), -gains.get(i, 0.0)))
     gap = judgement.verdict is not GapVerdict.NO_GAP

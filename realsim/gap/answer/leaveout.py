@@ -86,4 +86,4 @@ def better(
 def discrepancy(comparison: Comparison, runs: Sequence[int], residuals: Sequence[F64]) -> F64:
     """(C,) root mean square of a residual beyond the floor: what the model still gets wrong, by channel."""
     squares = np.concatenate([r**2 - comparison.floor(run) for run, r in zip(runs, residuals, strict=True)])
-    return np.sqrt(np.maximum(np.nanmean(squares, axis=0), 0.0))
+    return np.asarray(np.sqrt(np.maximum(np.nanmean(squares, axis=0), 0.0)))

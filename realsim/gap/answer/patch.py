@@ -124,7 +124,7 @@ def apply_patch(spec: MjSpec, patch: dict[str, Any]) -> Signals:
     context = build_context(case)
     for name, values in patch["scales"].items():
         getattr(context, name).update(values)
-    edit = Edit(context, spec=spec)
+    edit = Edit(context, spec)
     for item in patch["settings"]:
         effect = EFFECTS[item["effect"]]
         place = tuple(item["place"])

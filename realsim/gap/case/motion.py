@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -108,14 +109,14 @@ def _bridge(grid: F64, time: F64, column: F64) -> F64:
     return np.interp(grid, time[finite], column[finite]) if finite.any() else np.zeros(len(grid))
 
 
-def _near(time: F64, finite: Bool, grid: F64) -> Bool:
+def _near(time: F64, finite: Any, grid: F64) -> Bool:
     """(N,) whether a finite sample lies within half a window on both sides."""
     have = time[finite]
     if not len(have):
         return np.zeros(len(grid), bool)
     right = np.searchsorted(have, grid).clip(0, len(have) - 1)
     left = np.searchsorted(have, grid, side="right").clip(1, len(have)) - 1
-    return (np.abs(have[right] - grid) < HALF_WINDOW) & (np.abs(have[left] - grid) < HALF_WINDOW)
+    return np.asarray((np.abs(have[right] - grid) < HALF_WINDOW) & (np.abs(have[left] - grid) < HALF_WINDOW))
 
 
 def _rotation(grid: F64, time: F64, quat: F64, smoother: Smoother) -> tuple[F64, F64, F64]:

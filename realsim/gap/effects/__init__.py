@@ -24,15 +24,15 @@ class Effects(Registry):
     def __getitem__(self, name: str) -> Effect:
         if name in self._foreign:
             return self._foreign[name]
-        effect = super().__getitem__(name)
+        effect: Effect = super().__getitem__(name)
         if name not in self.own:
-            from realsim.gap.effects.base import Effect
+            from realsim.gap.effects import base
 
-            if not isinstance(effect, Effect) or effect.name != name:
+            if not isinstance(effect, base.Effect) or effect.name != name:
                 raise GapError(
                     f"the effect {name!r} of an installed package is none",
                     expected=f"a realsim.gap.effects.base.Effect with the name {name!r}",
-                    found=f"an effect {effect.name!r}" if isinstance(effect, Effect) else repr(effect)[:80],
+                    found=f"an effect {effect.name!r}" if isinstance(effect, base.Effect) else repr(effect)[:80],
                 )
             effect = self._foreign[name] = _guarded(effect, self._entries[name])
         return effect

@@ -30,7 +30,7 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
 def rotation(roll: float, pitch: float) -> F64:
     """(3, 3) about the fixed axes, first x then y."""
     c, s, d, t = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
-    return np.array([[d, 0, t], [0, 1, 0], [-t, 0, d]]) @ np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
+    return np.asarray(np.array([[d, 0, t], [0, 1, 0], [-t, 0, d]]) @ np.array([[1, 0, 0], [0, c, -s], [0, s, c]]))
 
 
 def quaternion(roll: float, pitch: float) -> F64:

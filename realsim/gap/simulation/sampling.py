@@ -6,6 +6,7 @@ import contextlib
 import ctypes
 from collections.abc import Iterator
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +16,7 @@ AT = 1e-3
 """Rows by which a jump may miss a sample and be at it."""
 
 
-def held_mean(time: F64, values: F64, grid: F64) -> F64:
+def held_mean(time: F64, values: F64, grid: Any) -> F64:
     """Mean over [grid[k], grid[k+1]] of values (T, U) that are held from each time stamp to the next; (N - 1, U)."""
     span = np.diff(time, append=time[-1] + 1.0)[:, None]
     integral = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values * span, axis=0)])

@@ -152,7 +152,7 @@ class Simulator:
         return [(name, place, values) for (name, place), values in found.items()]
 
     def _edited(self, settings: Sequence[Setting], onsets: Mapping[str, float] | None) -> Edit:
-        edit = Edit(self.context, onsets)
+        edit = Edit(self.context, onsets=onsets)
         for name, place, values in settings:
             effect = lookup(name)
             full = {p.name: p.default for p in effect.parameters(self.context, place)}
@@ -262,7 +262,7 @@ class Simulator:
         ]
         parts = [(i, part, slice(*ends)) for i, e in enumerate(edges) for part, ends in enumerate(pairwise(e))]
         states = [initial_state(self.case, model, runs[i], edit, begun[i].part(part)) for i, part, _ in parts]
-        offs = [None if off[i] is None else off[i][rows] for i, _, rows in parts]
+        offs = [None if (own := off[i]) is None else own[rows] for i, _, rows in parts]
         rolled = iter(self.rolled(model, states, [control[i][rows] for i, _, rows in parts], edit, offs))
         sensors = [np.concatenate([next(rolled) for _ in e[1:]]) for e in edges]
         return [tracks_of(self.context, model, s, k, edit) for s, k in zip(sensors, settle, strict=True)]

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from realsim.core.errors import GapError
-from realsim.core.types import F64, Bool
+from realsim.core.types import F64
 from realsim.gap.case.case import Case, Run
 from realsim.gap.case.motion import differences, median_size, sample_noise
 from realsim.gap.case.split import replicates, spread
@@ -117,7 +117,7 @@ def spikes(case: Case) -> Said:
     return said
 
 
-def _spikes(column: F64, least: float) -> Bool:
+def _spikes(column: F64, least: float) -> Any:
     """Rows of a column (T,) that are off by more than `least`."""
     rows = np.flatnonzero(np.isfinite(column))
     x = column[rows]

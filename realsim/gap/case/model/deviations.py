@@ -58,7 +58,7 @@ def _coordinate(p: Any, size: float) -> float:
 
 def _unit(p: Any) -> float:
     """What one unit of a parameter's coordinate is in its reported unit, about the nominal model."""
-    width = 1e-3 * abs(p.step)
+    width: float = 1e-3 * abs(p.step)
     up = p.default + width <= p.bounds[1]
     change = p.report(p.default + (width if up else -width)) - p.report(p.default)
     return max(abs(float(change)) / width, 1e-12)

@@ -135,8 +135,8 @@ class Signals:
 class Edit:
     """A simulator being changed. The spec is copied when it is first touched."""
 
-    def __init__(self, context: Context, onsets: Mapping[str, float] | None = None, spec: MjSpec = None) -> None:
-        """`onsets`: run -> s at which pulses by onset begin. `spec`: changed in place; if None, the context's copy."""
+    def __init__(self, context: Context, spec: MjSpec | None = None, onsets: Mapping[str, float] | None = None) -> None:
+        """`spec`: changed in place; if None, a copy of the context's. `onsets`: run -> s at which pulses begin."""
         self.context = context
         self.onsets = dict(onsets or {})
         self.signals = Signals()

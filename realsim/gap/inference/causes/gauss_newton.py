@@ -244,7 +244,7 @@ def clip(z: F64, parameters: Sequence[Parameter]) -> F64:
 
 def widest(z: F64, parameters: Sequence[Parameter]) -> F64:
     """(m,) longest step: a gross cause lies many of its own steps off."""
-    return np.maximum(4 * np.array([abs(p.step) for p in parameters]), np.abs(z))
+    return np.asarray(np.maximum(4 * np.array([abs(p.step) for p in parameters]), np.abs(z)))
 
 
 def _stiff(causes: Causes) -> bool:

@@ -134,7 +134,7 @@ def _as_pushes(
     known = rows[:, None] & np.isfinite(wanted).all(axis=2)
     G, w = push[known], (1.0 / comparison.floor(run))[known][:, None]
     covariance = np.linalg.pinv(G.T @ (w * G))
-    return covariance @ (G.T @ (w * wanted[known])), covariance
+    return np.asarray(covariance @ (G.T @ (w * wanted[known]))), covariance
 
 
 def _louder(simulator: Simulator) -> Edit:
