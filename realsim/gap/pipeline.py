@@ -239,7 +239,7 @@ def _assemble(
         unexplained_share=checked.unexplained if gap else 0.0,
         looks_like=tuple(looks_like),
         lead=lead,
-        patch=make_patch(simulator, fit) if causes else empty_patch(),
+        patch=make_patch(simulator, fit.settings(), fit.conditions.onsets) if causes else empty_patch(),
         ranking=tuple(ranked_effects(selection, screen)),
         health=health,
         statistics={

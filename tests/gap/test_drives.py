@@ -97,9 +97,9 @@ def test_a_gear_changes_no_figure_of_the_joint(gear: float, tmp_path: Path) -> N
 @pytest.mark.parametrize("gear", [1.0, 5.0, -2.0])
 def test_an_encoder_s_zero_is_in_the_file_of_a_geared_servo(gear: float, tmp_path: Path) -> None:
     """At rest under a command of zero, the patched model hangs where its servo's wrong encoder reads zero, nearly."""
-    fit: Any = SimpleNamespace(settings=lambda: [("joint_offset", ("swing",), {"offset": 0.1})])
+    settings = [("joint_offset", ("swing",), {"offset": 0.1})]
     with Simulator(load_case(geared(tmp_path / "case", gear)), DiagnoseConfig(threads=1)) as simulator:
-        model = mujoco.MjModel.from_xml_string(patched_xml(simulator, fit))
+        model = mujoco.MjModel.from_xml_string(patched_xml(simulator, settings))
     data = mujoco.MjData(model)
     for _ in range(2000):
         mujoco.mj_step(model, data)
@@ -144,13 +144,13 @@ def test_a_limit_that_is_not_the_same_both_ways_stays(tmp_path: Path) -> None:
 
 def test_a_velocity_servo_s_gain_is_patched_whole(tmp_path: Path) -> None:
     case = load_case(case_of(tmp_path / "case", '<velocity name="servo" joint="swing" kv="5"/>', kind="velocity"))
-    fit: Any = SimpleNamespace(settings=lambda: [("damping_gain", ("swing",), {"ratio": np.log(0.5)})])
+    settings = [("damping_gain", ("swing",), {"ratio": np.log(0.5)})]
     with Simulator(case, DiagnoseConfig(threads=1)) as simulator:
-        patch = json.loads(to_json(make_patch(simulator, fit)))
+        patch = json.loads(to_json(make_patch(simulator, settings)))
         spec = mujoco.MjSpec.from_file(str(case.folder / "model.xml"))
         apply_patch(spec, patch)
-        models = [spec.compile(), mujoco.MjModel.from_xml_string(patched_xml(simulator, fit))]
-        models.append(simulator.edited(fit.settings()).spec.compile())
+        models = [spec.compile(), mujoco.MjModel.from_xml_string(patched_xml(simulator, settings))]
+        models.append(simulator.edited(settings).spec.compile())
     for model in models:
         assert (model.actuator_gainprm[0, 0], model.actuator_biasprm[0, 2]) == pytest.approx((2.5, -2.5))
     del patch["command_kind"]  # as older ones are
@@ -161,10 +161,7 @@ def test_a_velocity_servo_s_gain_is_patched_whole(tmp_path: Path) -> None:
 
 def test_commands_that_come_early_are_not_in_the_file(tmp_path: Path) -> None:
     with Simulator(load_case(geared(tmp_path / "case", 1.0)), DiagnoseConfig(threads=1)) as simulator:
-        texts = [
-            patched_xml(simulator, SimpleNamespace(settings=lambda d=d: [("command_delay", (), {"delay": d})]))
-            for d in (-0.005, 0.005)
-        ]
+        texts = [patched_xml(simulator, [("command_delay", (), {"delay": d})]) for d in (-0.005, 0.005)]
     assert "not in this file, see patch.wrappers in diagnosis.json: command_delay" in texts[0]
     assert "not in this file" not in texts[1]
 

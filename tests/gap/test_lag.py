@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -99,8 +98,8 @@ def test_the_patch_has_the_lag(own: float, tmp_path: Path) -> None:
     """In model.xml it is that of the actuators, beside what they had."""
     xml = with_lag(HINGE, own) if own else HINGE
     with Simulator(hinges(tmp_path / "case", xml, xml), CONFIG) as simulator:
-        fit = SimpleNamespace(settings=lambda: [("actuator_lag", (), {"lag": 0.03})])
-        text = patched_xml(simulator, fit)  # type: ignore[arg-type]
+        settings = [("actuator_lag", (), {"lag": 0.03})]
+        text = patched_xml(simulator, settings)
     assert "not in this file" not in text
     model = mujoco.MjModel.from_xml_string(text)
     assert model.actuator_dynprm[0, 0] == pytest.approx(own + 0.03)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import mujoco
@@ -16,7 +15,7 @@ from realsim.core.errors import GapError, UnknownNameError
 from realsim.core.files import to_json
 from realsim.gap import EFFECTS, DiagnoseConfig, apply_patch, explain, load_case
 from realsim.gap.answer.patch import asset_files, empty_patch, make_patch, patched_xml
-from realsim.gap.simulation.simulate import Simulator
+from realsim.gap.simulation.simulate import Setting, Simulator
 from tests.truths.written import write_case
 
 from .truth import FINE, Truth
@@ -67,15 +66,15 @@ def flyer(hovering: Any) -> Iterator[Simulator]:
         yield found
 
 
-def fitted(simulator: Simulator, name: str) -> Any:
-    """A fit that found the effect at its first place, by one step of each of its parameters."""
+def fitted(simulator: Simulator, name: str) -> list[Setting]:
+    """The effect at its first place, by one step of each of its parameters."""
     effect = EFFECTS[name]
     place = effect.places(simulator.context)[0]
     parameters = effect.parameters(simulator.context, place)
     values = {p.name: float(np.clip(p.default + p.step, *p.bounds)) for p in parameters if p.default < 1e5}
     values.pop("start", None)
     values.pop("reading_offset", None)  # of two kinds, the one that the servo reads
-    return SimpleNamespace(settings=lambda: [(name, place, values)])
+    return [(name, place, values)]
 
 
 def moved(model: Any, case: Any, steps: int = 150) -> Any:
@@ -99,12 +98,12 @@ def robot(name: str, arm: Simulator, walker: Simulator, flyer: Simulator) -> Sim
 def test_round_trip(name: str, arm: Simulator, walker: Simulator, flyer: Simulator) -> None:
     """Through JSON, a plain spec and model.xml: the same motion as the simulator that was fitted."""
     simulator = robot(name, arm, walker, flyer)
-    fit = fitted(simulator, name)
-    patch = json.loads(to_json(make_patch(simulator, fit)))
+    settings = fitted(simulator, name)
+    patch = json.loads(to_json(make_patch(simulator, settings)))
     spec = mujoco.MjSpec.from_file(str(simulator.case.folder / "model.xml"))
     signals = apply_patch(spec, patch)
     ours = moved(spec.compile(), simulator.case)
-    edit = simulator.edited(fit.settings())
+    edit = simulator.edited(settings)
     reference = edit.spec.compile()
     if name == "external_force":  # the simulator turns it on by its control, the patch holds it
         reference.actuator(edit.signals.pulses[0].actuator).biasprm[0] = 1.0
@@ -116,7 +115,7 @@ def test_round_trip(name: str, arm: Simulator, walker: Simulator, flyer: Simulat
         assert (np.abs(ours - nominal).max() > 1e-6) == (name not in WRAPPED)
     assert bool(patch["wrappers"]) == (name in WRAPPED)
     assert patch["how"][0]["means"] == ("wrapper" if name in WRAPPED else "model")
-    text = patched_xml(simulator, fit)
+    text = patched_xml(simulator, settings)
     loaded = mujoco.MjModel.from_xml_string(text)
     if name not in ("command_delay", "joint_offset"):  # these two are wrappers, but MJCF can hold them
         np.testing.assert_allclose(moved(loaded, simulator.case), ours, atol=2e-4)
@@ -130,8 +129,8 @@ def test_round_trip(name: str, arm: Simulator, walker: Simulator, flyer: Simulat
 
 def test_delay_in_the_xml_is_the_delay_of_the_simulator(arm: Simulator) -> None:
     steps = 6
-    fit = SimpleNamespace(settings=lambda: [("command_delay", (), {"delay": steps * 0.002})])
-    delayed = moved(mujoco.MjModel.from_xml_string(patched_xml(arm, fit)), arm.case)  # type: ignore[arg-type]
+    settings = [("command_delay", (), {"delay": steps * 0.002})]
+    delayed = moved(mujoco.MjModel.from_xml_string(patched_xml(arm, settings)), arm.case)
     nominal = moved(arm.case.model, arm.case)
     assert np.abs(delayed[: steps + 2] - nominal[: steps + 2]).max() < 2e-3
     # The command starts at zero, so a delayed command is the same motion later; gravity alone moves it before.
@@ -150,15 +149,15 @@ def moved_by_zero(arm: Simulator) -> Any:
 
 def test_a_passing_force_stays_a_wrapper(arm: Simulator) -> None:
     values = {"fx": 3.0, "start": 0.5, "end": 1.0}
-    fit = SimpleNamespace(settings=lambda: [("external_force", ("fore",), values)])
-    patch = make_patch(arm, fit)  # type: ignore[arg-type]
+    settings = [("external_force", ("fore",), values)]
+    patch = make_patch(arm, settings)
     assert patch["how"][0]["means"] == "wrapper"
     (force,) = patch["wrappers"]["external_force"]["value"]
     assert (force["start_s"], force["end_s"]) == (0.5, 1.0)
     spec = mujoco.MjSpec.from_file(str(arm.case.folder / "model.xml"))
     apply_patch(spec, patch)
     assert spec.compile().actuator(force["actuator"]).id >= 0
-    assert "not in this file, see patch.wrappers in diagnosis.json: external_force" in patched_xml(arm, fit)  # type: ignore[arg-type]
+    assert "not in this file, see patch.wrappers in diagnosis.json: external_force" in patched_xml(arm, settings)
 
 
 def test_an_empty_patch_changes_nothing(arm: Simulator) -> None:

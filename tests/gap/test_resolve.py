@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import mujoco
@@ -86,10 +85,10 @@ def edited(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Setting],
 
     def edit(xml: str, setting: Setting) -> tuple[Any, Any]:
         with simulator_of(root / str(len(list(root.iterdir()))), xml) as simulator:
-            fit: Any = SimpleNamespace(settings=lambda: [setting])
+            settings = [setting]
             model = simulator.edited([setting]).spec.compile()
             spec = mujoco.MjSpec.from_file(str(simulator.case.folder / "model.xml"))
-            apply_patch(spec, make_patch(simulator, fit))
+            apply_patch(spec, make_patch(simulator, settings))
             patched = spec.compile()
             for name in ("body_mass", "body_ipos", "body_iquat", "body_inertia", "geom_quat", "geom_pos", "body_quat"):
                 np.testing.assert_allclose(getattr(patched, name), getattr(model, name), atol=1e-12, err_msg=name)

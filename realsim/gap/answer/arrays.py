@@ -101,6 +101,6 @@ def collect(
         shots=shots,
         torque=torque_residual(simulator),
         nominal_xml=str(spec.to_xml()),
-        patched_xml=patched_xml(simulator, fit),
+        patched_xml=patched_xml(simulator, fit.settings()),
         reason=reason,
     )

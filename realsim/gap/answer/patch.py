@@ -17,7 +17,6 @@ from realsim.gap.case.model.context import Context, build_context
 from realsim.gap.case.model.edit import Edit, Signals, put
 from realsim.gap.case.resolve import resolve
 from realsim.gap.effects import EFFECTS
-from realsim.gap.inference.causes.fit import Fit
 from realsim.gap.simulation.simulate import Setting, Simulator
 
 FORMAT, EARLIER = "realsim.gap.patch/2", "realsim.gap.patch/1"
@@ -31,14 +30,15 @@ def empty_patch() -> dict[str, Any]:
     return {"format": FORMAT, "settings": [], "wrappers": {}}
 
 
-def make_patch(simulator: Simulator, fit: Fit) -> dict[str, Any]:
+def make_patch(
+    simulator: Simulator, settings: Sequence[Setting], onsets: Mapping[str, float] | None = None
+) -> dict[str, Any]:
     """A patch as plain data, to be applied with `apply_patch`.
 
     `settings` are the effects in their own coordinates, `scales` the figures of the nominal runs that these refer to
     (so that the log is not needed), `wrappers` what no compiled model can hold, for the loop that steps the simulator,
-    and `how` says for each effect which of the two it is.
+    and `how` says for each effect which of the two it is. `onsets`: see `Simulator.edited`.
     """
-    settings = fit.settings()
     signals = simulator.edited(settings).signals
     return {
         "format": FORMAT,
@@ -48,7 +48,7 @@ def make_patch(simulator: Simulator, fit: Fit) -> dict[str, Any]:
             for n, p, values in settings
         ],
         "scales": _scales(simulator.context),
-        "wrappers": wrappers(signals, fit.conditions.onsets),
+        "wrappers": wrappers(signals, onsets),
         "how": [_how(simulator, setting) for setting in settings],
     }
 
@@ -183,10 +183,10 @@ def _hold_lags(edit: Edit) -> None:
     edit.signals.actuator_lag = 0.0
 
 
-def patched_xml(simulator: Simulator, fit: Fit) -> str:
+def patched_xml(simulator: Simulator, settings: Sequence[Setting]) -> str:
     """model.xml with the causes in it, as far as MJCF can express them; a comment names what it cannot."""
     spec = simulator.case.spec.copy()
-    signals = apply_patch(spec, make_patch(simulator, fit))
+    signals = apply_patch(spec, make_patch(simulator, settings))
     context = simulator.context
     if signals.command_delay > 0:
         for name in simulator.case.actuator_names:

@@ -43,7 +43,7 @@ def _looked_at(
     case = simulator.case
     try:
         spec = case.spec.copy()
-        apply_patch(spec, make_patch(simulator, fit))
+        apply_patch(spec, make_patch(simulator, fit.settings()))
         with Simulator(replace(case, spec=spec, model=spec.compile()), simulator.config) as patched:
             tracks = [patched.nominal_tracks[r] for r in runs]
             return looks_like(comparison, runs, residuals, tracks, torque_residual(patched))
