@@ -133,7 +133,7 @@ def _as_pushes(
     wanted = np.stack(sides, axis=2)
     known = rows[:, None] & np.isfinite(wanted).all(axis=2)
     G, w = push[known], (1.0 / comparison.floor(run))[known][:, None]
-    covariance = np.linalg.pinv(G.T @ (w * G))
+    covariance: F64 = np.asarray(np.linalg.pinv(G.T @ (w * G)), np.float64)
     return np.asarray(covariance @ (G.T @ (w * wanted[known]))), covariance
 
 
