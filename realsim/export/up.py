@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-F64 = NDArray[np.float64]
+from realsim.core.rays import Rays
+from realsim.core.types import F64
+
 # Evidence for z against y in nats. Set on 32 meshes of furniture, stairs and terrains in both frames, with and without
 # their base at zero (benchmarks/contact/clean_meshes.py --up), and on two files of phones and Blender.
 AREA = 1.6
@@ -22,6 +24,8 @@ HABIT = 0.75
 """For z in STL, PLY, OBJ and OFF (most have it so, and phones and Blender write y); twice as much for y in GLB."""
 CLEAR = 0.9
 """What is less is a question."""
+PROBES = 2000
+"""Points at which the surface that faces up is tested for lying within another solid."""
 CLOSED = 0.01
 """Share of a surface's area that its vector area may be: that of a closed one is zero."""
 WALKABLE = np.cos(np.radians(35))
@@ -59,11 +63,12 @@ def find_up(vertices: F64, triangles: NDArray[np.int64], suffix: str) -> Up:
     if not len(corners):
         return Up(usual)
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
-    z, y = (_facing_up(corners, cross, axis) for axis in (2, 1))
-    turned_z, turned_y = (_facing_up(corners, -cross, axis) for axis in (2, 1))
     area = float(np.linalg.norm(cross, axis=1).sum())
     volume = float(np.einsum("ij,ij->", corners[:, 0] - corners.reshape(-1, 3).mean(0), cross))
     closed = float(np.linalg.norm(cross.sum(0))) < CLOSED * area
+    solids = Rays(corners.reshape(-1, 3), np.arange(corners.size // 3).reshape(-1, 3)) if closed else None
+    z, y = (_facing_up(corners, cross, axis, solids) for axis in (2, 1))
+    turned_z, turned_y = (_facing_up(corners, -cross, axis, solids) for axis in (2, 1))
     # An open surface has no volume: it faces the way in which more of it can be walked on.
     inside_out = volume < 0 if closed else turned_z.area + turned_y.area > z.area + y.area
     if inside_out:
@@ -86,12 +91,12 @@ class _FacingUp:
     """What speaks for one axis."""
 
     area: float
-    """m^2 on which one could walk."""
+    """m^2 on which one could walk; within another solid nobody can."""
     floor: bool
     base: bool
 
 
-def _facing_up(corners: F64, cross: F64, axis: int) -> _FacingUp:
+def _facing_up(corners: F64, cross: F64, axis: int, solids: Rays | None) -> _FacingUp:
     area = np.linalg.norm(cross, axis=1)
     up = cross[:, axis] > WALKABLE * np.maximum(area, 1e-30)
     heights = corners[:, :, axis]
@@ -101,4 +106,19 @@ def _facing_up(corners: F64, cross: F64, axis: int) -> _FacingUp:
     at_bottom = up & (heights.max(1) < low + 0.2 * (high - low) + 1e-6)
     size = float(np.ptp(corners.reshape(-1, 3), axis=0).max())
     base = abs(low) < 1e-3 * size
-    return _FacingUp(float(area[up].sum()), bool(area[at_bottom].sum() > 0.5 * footprint), base)
+    free = 1.0 if solids is None else _outside(corners, cross, np.where(up, area, 0.0), solids)
+    return _FacingUp(free * float(area[up].sum()), bool(area[at_bottom].sum() > 0.5 * footprint), base)
+
+
+def _outside(corners: F64, cross: F64, weights: F64, solids: Rays) -> float:
+    """Share of an area, by weights (K,) of its triangles, within no other solid: from within one, a ray outward
+    leaves more surfaces than it enters."""
+    if not weights.any():
+        return 1.0
+    rng = np.random.default_rng(0)
+    chosen = rng.choice(len(weights), PROBES, p=weights / weights.sum())
+    outward = cross[chosen] / np.linalg.norm(cross[chosen], axis=1, keepdims=True)
+    points = np.einsum("nk,nkj->nj", rng.dirichlet(np.ones(3), PROBES), corners[chosen])
+    ray, _, triangle = solids.crossings(points + 1e-4 * np.ptp(points, 0).max() * outward, outward)
+    leaving = np.sign(np.einsum("nj,nj->n", cross[triangle], outward[ray]))
+    return float((np.bincount(ray, leaving, PROBES) < 0.5).mean())
