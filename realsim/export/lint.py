@@ -17,9 +17,10 @@ from realsim.core.progress import note
 from realsim.export.any_mesh import GOOD, contact_verdict
 from realsim.export.config import SceneConfig
 from realsim.export.contact.fidelity import EDGE, measure
-from realsim.export.contact.polytope import Polytope
+from realsim.export.contact.polytope import SIGNS, Polytope
 from realsim.export.contact.probe import Reference
 from realsim.export.contact.seams import open_seams
+from realsim.export.formats.scene import mesh_of
 
 F64 = NDArray[np.float64]
 SAMPLES = 2000
@@ -32,7 +33,7 @@ class _Static:
 
     spec: Any
     """`MjSpec` of those that collide, as MuJoCo collides them."""
-    drawn: list[tuple[F64, NDArray[np.int64]]]
+    drawn: list[tuple[F64, NDArray[Any]]]
     """Triangles of what is to be touched: visual meshes that do not collide; without one, what collides as drawn."""
     parts: list[tuple[str, Polytope]]
     hulls: list[dict[str, Any]]
@@ -121,8 +122,8 @@ def _static(model: Any, path: Path) -> _Static:
     mujoco.mj_kinematics(model, data)
     spec = mujoco.MjSpec()
     kinds = mujoco.mjtGeom
-    visual: list[tuple[F64, NDArray[np.int64]]] = []
-    own: list[tuple[F64, NDArray[np.int64]]] = []
+    visual: list[tuple[F64, NDArray[Any]]] = []
+    own: list[tuple[F64, NDArray[Any]]] = []
     parts: list[tuple[str, Polytope]] = []
     hulls: list[dict[str, Any]] = []
     planes: list[float] = []
@@ -139,7 +140,7 @@ def _static(model: Any, path: Path) -> _Static:
                 spec.worldbody.add_geom(type=kind, contype=1, conaffinity=1, **place)
             continue
         if kind == kinds.mjGEOM_MESH:
-            vertices, faces = _mesh(model, int(model.geom_dataid[g]))
+            vertices, faces = mesh_of(model, int(model.geom_dataid[g]))
             world = vertices @ R.T + data.geom_xpos[g]
             (own if collides else visual).append((world, faces))
             if collides:
@@ -180,10 +181,9 @@ def _corners(kind: str, size: F64) -> F64 | None:
     circle = np.column_stack([np.cos(turn), np.sin(turn), 0 * turn])
     rise = np.radians(np.arange(-85, 90, 5))[:, None, None]
     ball = (np.cos(rise) * circle + np.sin(rise) * [0, 0, 1]).reshape(-1, 3)
-    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
     ends = np.array([[0, 0, -b], [0, 0, b]])
     made = {
-        "box": signs * size,
+        "box": SIGNS * size,
         "sphere": a * ball,
         "ellipsoid": size * ball,
         "cylinder": (a * circle + ends[:, None]).reshape(-1, 3),
@@ -192,14 +192,7 @@ def _corners(kind: str, size: F64) -> F64 | None:
     return made.get(kind)
 
 
-def _mesh(model: Any, mesh: int) -> tuple[F64, NDArray[np.int64]]:
-    first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
-    start, number = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
-    vertices = model.mesh_vert[first : first + count].astype(float)
-    return vertices, model.mesh_face[start : start + number].astype(np.int64)
-
-
-def _off_hull(vertices: F64, faces: NDArray[np.int64]) -> float:
+def _off_hull(vertices: F64, faces: NDArray[Any]) -> float:
     """Metres that a mesh's surface lies inside its hull at the farthest."""
     planes = Polytope(vertices).planes
     points, _ = sampled(vertices, faces, SAMPLES, np.random.default_rng(0))

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from realsim.core.errors import ExportError
 from realsim.core.files import check_size
 from realsim.core.meshes import (
+    across,
     areas,
     compact,
     edges_of,
@@ -26,6 +27,7 @@ from realsim.core.objfile import parse_obj
 from realsim.core.types import MeshQuality, TerrainMesh
 from realsim.export.contact.columns import check_extent, crossings
 from realsim.export.contact.probe import CEILING
+from realsim.export.contact.shape import UPRIGHT
 from realsim.export.pieces import convex_solids, without_twins
 from realsim.export.unite import united
 from realsim.export.up import Up, find_up, y_to_z
@@ -36,6 +38,7 @@ UP = ("auto", "z", "y")
 FORMATS = (".ply", ".obj", ".stl", ".glb", ".off")
 AGAIN = "export it again from the program that made it; realsim inspect FILE shows what is read"
 MAX_TRIANGLES = 5_000_000
+THIN = 0.1  # width of a sliver seen from above, in lengths
 RAYS = 96  # a side of the grid of rays that look at a mesh from above
 VAST = 50.0  # metres: larger than what a robot is taken across, so that the unit has to be given
 F64 = NDArray[np.float64]
@@ -189,6 +192,10 @@ def mend(vertices: F64, triangles: NDArray[Any]) -> Mended:
     if _from_above(terrain)[0]:
         faces = np.ascontiguousarray(faces[:, ::-1])
         notes.append("the mesh was inside out and has been flipped")
+    faces, slivers = _without_slivers(vertices, faces)
+    if slivers:
+        vertices, faces = compact(vertices, faces)
+        notes.append(f"{slivers} upright slivers, with which a triangulation of points closes its rim, were removed")
     faces, turned = turn_closed(vertices, faces)
     if turned:
         notes.append(f"{turned} closed pieces were inside out and have been flipped")
@@ -245,6 +252,32 @@ def _usable(vertices: F64, triangles: NDArray[Any], notes: list[str]) -> tuple[F
         a, b, c = faces[0]
         faces = np.array([[a, 3, c], [3, b, c]], np.int32)
     return kept, faces, int(flat.sum())
+
+
+def _without_slivers(vertices: F64, faces: NDArray[np.int32]) -> tuple[NDArray[np.int32], int]:
+    """(triangles (K, 3) without the upright ones that close the outline of a triangulation of points seen from above,
+    how many those were).
+
+    A triangulation in the plane (Delaunay's) ends in the convex hull of its points, and closes what is not convex with
+    triangles that are long and thin seen from above: walls that nobody measured. They lie at the rim with their
+    longest side, one behind the other. A step lies in the rim with its short side, and stays.
+    """
+    kept = faces
+    if not (across(vertices, faces)[:, 2] > 0).all():
+        return faces, 0
+    while len(kept):
+        edges = edges_of(faces_by_place(vertices, kept))
+        face, corner = np.divmod(edges.order[edges.first[edges.uses == 1]], 3)
+        cross = across(vertices, kept[face])
+        plan = vertices[kept[face], :2]
+        sides = np.linalg.norm(plan - np.roll(plan, -1, axis=1), axis=2)
+        along = sides[np.arange(len(face)), corner]
+        thin = (along >= sides.max(1)) & (np.abs(cross[:, 2]) < THIN * along**2)
+        out = face[thin & (np.abs(cross[:, 2]) < UPRIGHT * np.linalg.norm(cross, axis=1))]
+        if not len(out):
+            break
+        kept = np.delete(kept, out, axis=0)
+    return (kept, len(faces) - len(kept)) if len(kept) else (faces, 0)
 
 
 def _from_above(mesh: TerrainMesh) -> tuple[bool, bool]:

@@ -179,7 +179,7 @@ def test_one_triangle_and_crossing_sheets(tmp_path: Path) -> None:
 
 
 def test_triangulated_points_with_slivers_on_their_rim_are_a_height_field(tmp_path: Path) -> None:
-    """The upright slivers look like walls with nothing behind; sheets alone let balls through."""
+    """Upright slivers look like walls with nothing behind, which no height field has and which no sheet carries."""
     rng = np.random.default_rng(4)
     place = np.vstack([rng.uniform(-1.5, 1.5, (2500, 2)), [[-1.5, -1.5], [1.5, -1.5], [1.5, 1.5], [-1.5, 1.5]]])
     x, y = place.T
@@ -190,4 +190,16 @@ def test_triangulated_points_with_slivers_on_their_rim_are_a_height_field(tmp_pa
     (tmp_path / "out").mkdir()
     contact = contact_mesh(tmp_path / "a.ply", tmp_path / "out", SceneConfig(contact_probes=400)).contact
     assert contact["representation"] == "hfield"
-    assert contact["verdict"]["level"] != "bad"
+    assert any("upright slivers" in note for note in contact["mended"])
+    assert contact["verdict"]["level"] == "good"
+
+
+def test_steps_that_reach_the_rim_are_no_slivers() -> None:
+    """A surface that is a function of x and y, with risers that run 1 mm: they lie in the rim with their short side."""
+    x = np.array([0.0, 0.3, 0.301, 0.6, 0.601, 0.9])
+    place = np.array([[a, b] for a in x for b in (0.0, 1.0)])
+    height = np.repeat([0.0, 0.0, 0.15, 0.15, 0.3, 0.3], 2)
+    k = 2 * np.arange(5)
+    faces = np.concatenate([np.stack([k, k + 2, k + 3], 1), np.stack([k, k + 3, k + 1], 1)])
+    made = mend(np.column_stack([place, height]), faces)
+    assert len(made.terrain.triangles) == len(faces)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -17,21 +17,35 @@ from realsim.core.types import TerrainMesh
 from realsim.export.config import SceneConfig
 from realsim.export.contact.base import ContactModel, UnsuitedError
 from realsim.export.contact.cost import standing_place, step_cost
-from realsim.export.contact.fidelity import OFF, Fidelity, measure
+from realsim.export.contact.fidelity import OFF, Fidelity, measured
 from realsim.export.contact.islands import FINE
 from realsim.export.contact.patches import noise_of
 from realsim.export.contact.probe import Reference, spec_of
 from realsim.export.contact.shape import Shape, Solids
 
-# Cheapest first. `convex` takes a minute to build and is better than none of these, `sdf` costs a hundred planes.
-CANDIDATES = ("boxes", "hybrid", "sheets", "hfield")
-OF_CURVED = ("boxes", "hybrid", "hfield", "sheets")
-"""In the order for what is not made of planes: sheets are planes too, and take minutes on a smooth terrain of 10 m."""
-OF_COLUMNS = ("boxes", "hybrid", "hfield")
-"""Those made of what is seen from above and below alone."""
+# Cheapest first. A height field is soon built, and the first rays tell where it lacks sides; sheets take minutes.
+# `convex` takes a minute to build and is better than none of these, `sdf` costs a hundred planes.
+CANDIDATES = ("boxes", "hybrid", "hfield", "sheets")
+OF_COLUMNS = ("boxes", "hybrid")
+"""Those made of columns that are solid."""
 SIDES = 0.75
 """Least share of the side faces in columns for these to be built: with more than a quarter passed through, the verdict
 is "do not use" whatever else they are (`core.contact_limits`)."""
+
+
+@dataclass
+class _Tried:
+    """A representation that is measured as far as it has to be."""
+
+    contact: ContactModel
+    rest: Iterator[Fidelity]
+    fidelity: Fidelity
+
+    def go_on(self) -> bool:
+        """Measure one thing more; False where there is none."""
+        more = next(self.rest, None)
+        self.fidelity = more or self.fidelity
+        return more is not None
 
 
 @dataclass(frozen=True)
@@ -71,26 +85,19 @@ def fit_contact(
     reference = Reference(mesh.vertices, mesh.triangles, mesh.invented)
     shape = Shape(mesh, ground_z, solids or Solids((), mesh))
     names: tuple[str, ...] = CANDIDATES if config.contact == "auto" else (config.contact,)
-    tried: list[tuple[ContactModel, Fidelity]] = []
+    tried: list[_Tried] = []
     refused: list[dict[str, Any]] = []
     noise = mesh.noise_m
     if noise is None:  # what is closed was modelled, or has an inside; only open walls are a scan's for sure
         noise = 0.0 if _closed(mesh) else noise_of(mesh.vertices)
     if config.contact == "auto" and (carried := shape.sides_in_columns(noise)) < SIDES:
-        refused = [
-            {"representation": name, "refused": f"columns hold {carried:.0%} of the side faces"}
-            for name in OF_COLUMNS
-            if name != "hfield"
-        ]
-        # A height field is soon built, and may yet be best: slivers on the rim of a triangulation are side faces, too.
-        names = (*(name for name in names if name not in OF_COLUMNS), "hfield")
+        found = f"columns hold {carried:.0%} of the side faces"
+        refused = [{"representation": name, "refused": found} for name in OF_COLUMNS]
+        names = tuple(name for name in CANDIDATES if name not in OF_COLUMNS)
         if mesh.noise_m is None and 2 * noise > FINE:  # walls with one side are a scan's: it is as noisy as it shows
             mesh = replace(mesh, noise_m=noise, resolution=_mean_edge(mesh))
             shape = Shape(mesh, ground_z)  # of which no piece is exact
     with steps() as tick:
-        tick("looking for planes", 0.0)
-        if names == CANDIDATES and shape.curved:
-            names = OF_CURVED
         for name in names:
             tick(f"building {name}", 0.0)
             try:
@@ -100,23 +107,27 @@ def fit_contact(
                     raise
                 refused.append({"representation": name, "refused": error.found})
                 continue
-            measured = partial(tick, f"measuring {name}")
-            fidelity = measure(
+            fidelities = measured(
                 spec_of(contact),
                 reference,
                 ground_z,
                 probes=config.contact_probes,
-                tick=measured,
+                tick=partial(tick, f"measuring {name}"),
                 bare=bare,
                 noise=_uncertain(mesh),
             )
-            tried.append((contact, fidelity))
-            if fidelity.meets(*config.contact_tolerance):
+            best = _Tried(contact, fidelities, next(fidelities))
+            tried.append(best)
+            while (met := best.fidelity.meets(*config.contact_tolerance)) and best.go_on():
+                pass
+            if met:
                 break
-    contact, fidelity = tried[-1]
+        if not met:  # the rest is measured of the best alone
+            while (best := min(tried, key=lambda t: t.fidelity.shortfall(*config.contact_tolerance))).go_on():
+                pass
+    contact, fidelity = best.contact, best.fidelity
     warnings = contact.warnings
-    if not fidelity.meets(*config.contact_tolerance):
-        contact, fidelity = min(tried, key=lambda t: t[1].shortfall(*config.contact_tolerance))
+    if not met:
         warnings = (*contact.warnings, _unmet(contact, fidelity, config.contact_tolerance, len(names)))
     if place is None:
         start, off = fidelity.touches.start, np.nan_to_num(fidelity.touches.error)
@@ -125,7 +136,10 @@ def fit_contact(
     cost = step_cost(spec_of(contact), place)
     weighed = ("median_mm", "p95_mm", "phantom_over_gaps_cm2", "leaks")
     considered = refused + [
-        {"representation": c.representation} | {k: f.figures[k] for k in weighed} | _shares(f) for c, f in tried
+        {"representation": t.contact.representation}
+        | {k: t.fidelity.figures[k] for k in weighed if k in t.fidelity.figures}
+        | _shares(t.fidelity)
+        for t in tried
     ]
     summary = {"representation": contact.representation} | dict(fidelity.figures) | cost
     summary |= {"geoms": count_types(contact), "considered": considered} | dict(contact.statistics)
@@ -150,8 +164,8 @@ def _mean_edge(mesh: TerrainMesh) -> float:
 
 
 def _shares(fidelity: Fidelity) -> dict[str, float | None]:
-    sides = fidelity.figures["sides"]
-    return {"heights_off": round(fidelity.off[0], 4), "sides_stopped": sides["stopped"]}
+    heights = {"heights_off": round(fidelity.off[0], 4)} if "drop" in fidelity.figures else {}
+    return heights | {"sides_stopped": fidelity.figures["sides"]["stopped"]}
 
 
 def count_types(contact: ContactModel) -> dict[str, int]:

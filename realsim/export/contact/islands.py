@@ -7,15 +7,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from realsim.core.meshes import across, sampled
 from realsim.core.types import TerrainMesh
 from realsim.export.contact.base import Geom, floor_around, floor_plane
 from realsim.export.contact.columns import Columns, check_extent, columns
+from realsim.export.contact.probe import Reference
 from realsim.export.contact.undersides import Walls, settle
 
 F64 = NDArray[np.float64]
-CELL = 0.005  # metres, of a small mesh that is exact as fine as...
-FINEST, ACROSS = 0.002, 100  # metres, and cells across: boards of 8 mm are walls of a bin; and at least...
+CELL = 0.005  # metres; of a mesh that is exact as fine as...
+FINEST, WITHIN = 0.001, 3.5  # metres, and cells in its thinnest wall: a plane takes three; and at least...
 SHARE = 0.25  # ...this share of a reconstruction's resolution, below which there is nothing to find
+THINNER, SIDES = 5, 2000  # percent of the walls that may be thinner, and places at which they are measured
 PIT, NOISES = 0.015, 2.5  # metres below the ground, and times the noise, from which a plane will not do as floor; the
 # second was set on a made corridor of 9 x 6 m whose floor is uneven by 5 mm, and holds on one of 35 x 21 m
 RIM = 0.03  # metres beside a pit in which its walls come up to the ground
@@ -75,8 +78,7 @@ def terrain(mesh: TerrainMesh, ground_z: float, cell: float | None = None) -> Te
     """
     check_extent(mesh)
     if mesh.noise_m is None:  # made by hand: its long edges are exact
-        extent = float(np.ptp(mesh.vertices[mesh.triangles].reshape(-1, 3)[:, :2], axis=0).max())
-        cell = cell or min(CELL, max(FINEST, extent / ACROSS))
+        cell = cell or float(np.clip(_thinnest(mesh) / WITHIN, FINEST, CELL))
     else:
         cell = max(cell or CELL, SHARE * mesh.resolution)
     grid = columns(mesh, ground_z, cell)
@@ -103,6 +105,21 @@ def terrain(mesh: TerrainMesh, ground_z: float, cell: float | None = None) -> Te
             areas += inferred
     guessed = (float(areas[0]), float(areas[1]))
     return Terrain(grid, tuple(found), base, floor, tolerance, narrowest, guessed)
+
+
+def _thinnest(mesh: TerrainMesh) -> float:
+    """Metres through the thinnest walls of a mesh; inf where none has a back."""
+    points, of = sampled(mesh.vertices, mesh.triangles, SIDES, np.random.default_rng(0))
+    normal = across(mesh.vertices, mesh.triangles[of])
+    level = np.linalg.norm(normal[:, :2], axis=1)
+    upright = level > np.abs(normal[:, 2])
+    if not upright.any():
+        return np.inf
+    way = np.zeros((int(upright.sum()), 3))
+    way[:, :2] = -normal[upright, :2] / level[upright, None]
+    t, cosine, _ = Reference(mesh.vertices, mesh.triangles).cast(points[upright] + 1e-4 * way, way)
+    through = t[np.isfinite(t) & (cosine > 0)]
+    return float(np.percentile(through, THINNER)) if len(through) else np.inf
 
 
 def _pits(grid: Columns, level: float) -> NDArray[np.bool_]:

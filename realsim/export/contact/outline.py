@@ -39,10 +39,9 @@ def outlines(mask: NDArray[np.bool_], tolerance: float) -> list[F64]:
 
 def _fewest_corners(trace: F64, tolerance: float) -> F64:
     """The polygon with the fewest corners that stays near a traced ring; of several, the nearest."""
-    finest = _simplify(trace, tolerance)
-    best, score = finest, (len(finest), np.inf)
-    for factor in COARSER:
-        ring = _simplify(trace, factor * tolerance)
+    rings = [_simplify(trace, factor * tolerance) for factor in COARSER]
+    best, score = rings[0], (len(rings[0]), np.inf)
+    for ring in rings:
         if len(ring) < 3:
             continue
         off = _distance(trace, ring)

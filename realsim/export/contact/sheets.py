@@ -53,8 +53,7 @@ def sheets(shape: Shape, config: SceneConfig) -> ContactModel:
     vertices, seen = mesh.vertices, mesh.carrying
     surface = Reference(vertices, seen)
     area, tolerance = float(areas(vertices, seen).sum()), whole.tolerance
-    finest = mesh.resolution / 2 if mesh.noise_m is not None else 0.0
-    spacing = max(0.01, finest, float(np.sqrt(area / MOST)))
+    spacing = max(0.01, float(np.sqrt(area / MOST)))
     samples = sampled(vertices, seen, spacing)
     # Of a ceiling only the underside is known: no solid, but a sheet.
     below = [shape.planar_of(n) for n, island in enumerate(whole.islands) if island.top_seen > SEEN]

@@ -12,7 +12,7 @@ import numpy as np
 from realsim.core.errors import ExportError
 from realsim.core.files import explain_write_errors, to_json, write_text
 from realsim.core.geometry import R_to_quat
-from realsim.export.formats.scene import SceneOnDisk
+from realsim.export.formats.scene import SceneOnDisk, height_nodes
 from realsim.export.mjcf import HFIELD_CONTACT, numbers
 
 
@@ -47,28 +47,17 @@ def warp(scene: SceneOnDisk, folder: Path) -> list[Path]:
         ET.SubElement(asset, "mesh", name=part.name, vertex=numbers(np.round(part.vertices, 5).ravel()))
         ET.SubElement(world, "geom", {"name": part.name, "type": "mesh", "mesh": part.name, **bits})
     for part in scene.surfaces:
-        _height_field(asset, world, scene, part.name, bits)
+        # Node by node: MuJoCo Warp takes a height field from any model. In the text, rows go from the highest y down.
+        z, size, centre = height_nodes(part.vertices, 0.1)
+        shape = {"nrow": str(len(z)), "ncol": str(z.shape[1]), "size": numbers(size)}
+        ET.SubElement(asset, "hfield", {"name": part.name, **shape, "elevation": numbers(z[::-1].ravel())})
+        geom = {"name": part.name, "type": "hfield", "hfield": part.name, "pos": numbers(centre)}
+        ET.SubElement(world, "geom", {**geom, **HFIELD_CONTACT, **bits})
     ET.indent(root, "  ")
     text = ET.tostring(root, "unicode") + "\n"
     write_text(folder / "terrain.xml", text)
     write_text(folder / "advice.json", to_json(_advice(text, scene)))
     return [folder / "terrain.xml", folder / "advice.json"]
-
-
-def _height_field(asset: ET.Element, world: ET.Element, scene: SceneOnDisk, name: str, bits: dict[str, str]) -> None:
-    """Written out node by node: MuJoCo Warp takes a height field from any model, however it was given."""
-    part = next(p for p in scene.surfaces if p.name == name)
-    x, y, z = part.vertices.T
-    columns = int(np.flatnonzero(np.diff(y) > 1e-9)[0]) + 1
-    low, high = part.vertices.min(0), part.vertices.max(0)
-    size = [*((high - low)[:2] / 2), max(high[2] - low[2], 1e-6), 0.1]
-    shape = {"nrow": str(len(x) // columns), "ncol": str(columns), "size": numbers(size)}
-    # In the text, rows go from the highest y down.
-    rows = (z - low[2]).reshape(-1, columns)[::-1]
-    ET.SubElement(asset, "hfield", {"name": name, **shape, "elevation": numbers(rows.ravel())})
-    centre = [*((low + high)[:2] / 2), low[2]]
-    geom = {"name": name, "type": "hfield", "hfield": name, "pos": numbers(centre), **HFIELD_CONTACT, **bits}
-    ET.SubElement(world, "geom", geom)
 
 
 def _advice(text: str, scene: SceneOnDisk) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from realsim.core.files import write_text
 from realsim.core.geometry import R_to_quat
-from realsim.export.formats.scene import SceneOnDisk
+from realsim.export.formats.scene import SceneOnDisk, height_nodes
 
 MARGIN = 1.0  # metres of floor around the terrain
 DEPTH = 1.0  # metres of floor below it
@@ -96,12 +96,8 @@ def mjlab(scene: SceneOnDisk, folder: Path) -> list[Path]:
 
 
 def _height_field(vertices: np.ndarray) -> dict[str, Any]:
-    """Nodes row by row from the lowest y, above the lowest of them."""
-    low, high = vertices.min(0), vertices.max(0)
-    columns = int(np.flatnonzero(np.diff(vertices[:, 1]) > 1e-9)[0]) + 1
-    size = [*((high - low)[:2] / 2), max(high[2] - low[2], 1e-6), DEPTH]
-    heights = (vertices[:, 2] - low[2]).reshape(-1, columns)
-    return {"size": _short(size), "pos": _short([*((low + high)[:2] / 2), low[2]]), "z": _short(heights)}
+    z, size, pos = height_nodes(vertices, DEPTH)
+    return {"size": _short(size), "pos": _short(pos), "z": _short(z)}
 
 
 def _short(values: Any, digits: int = 5) -> Any:

@@ -15,6 +15,7 @@ from realsim.core.errors import ExportError
 from realsim.core.files import check_size
 from realsim.core.meshes import across, height_field, merged
 from realsim.core.mjcf import check_mjcf
+from realsim.export.contact.polytope import SIGNS
 
 T = TypeVar("T")
 
@@ -34,6 +35,11 @@ class Box:
     """(3, 3)."""
     half: F64
     """(3,) half sizes, metres."""
+
+    @property
+    def corners(self) -> F64:
+        """(8, 3) metres."""
+        return self.position + SIGNS * self.half @ self.rotation.T
 
 
 @dataclass(frozen=True)
@@ -171,7 +177,7 @@ def _collision(model: Any, data: Any) -> tuple[tuple[Box, ...], tuple[Convex, ..
             points, faces = height_field(model, model.geom_dataid[g])
             surfaces.append(Convex(name, points + position, faces))
         elif kind in (mjtGeom.mjGEOM_MESH, mjtGeom.mjGEOM_SDF):
-            points, faces = _mesh(model, model.geom_dataid[g])
+            points, faces = mesh_of(model, model.geom_dataid[g])
             points = points @ rotation.T + position
             if kind == mjtGeom.mjGEOM_MESH:
                 convex.append(_hull(name, points))
@@ -195,20 +201,26 @@ def collision_triangles(model: Any, data: Any) -> tuple[F64, NDArray[np.int32]]:
     boxes, convex, surfaces, floor = _collision(model, data)
     if floor is not None:
         boxes = (Box("floor", np.array([0.0, 0.0, floor - 1.0]), np.eye(3), np.array([50.0, 50.0, 1.0])), *boxes)
-    signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1], indexing="ij")).reshape(3, -1).T
-    cube = _hull("", signs.astype(float))
-    order = [int(np.flatnonzero((signs == v).all(1))[0]) for v in cube.vertices]
-    parts = [((signs[order] * b.half) @ b.rotation.T + b.position, cube.triangles) for b in boxes]
-    vertices, triangles = merged([*parts, *((part.vertices, part.triangles) for part in (*convex, *surfaces))])
+    parts = [*(_hull(box.name, box.corners) for box in boxes), *convex, *surfaces]
+    vertices, triangles = merged([(part.vertices, part.triangles) for part in parts])
     return vertices, triangles.astype(np.int32)
 
 
-def _mesh(model: Any, mesh: int) -> tuple[F64, NDArray[np.int32]]:
-    """(V, 3) and (K, 3) of a mesh, in its own frame."""
+def mesh_of(model: Any, mesh: int) -> tuple[F64, NDArray[np.int32]]:
+    """(V, 3) and (K, 3) of a mesh of a compiled model, in its own frame."""
     start, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
     first, faces = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
     points = model.mesh_vert[start : start + count].astype(float)
     return points, model.mesh_face[first : first + faces].astype(np.int32)
+
+
+def height_nodes(vertices: F64, depth: float) -> tuple[F64, list[float], list[float]]:
+    """Of the nodes (V, 3) of a height field: (rows, columns) metres above the lowest, from the lowest y up; its size as
+    MuJoCo counts it, with a base of `depth` metres; and where it stands."""
+    low, high = vertices.min(0), vertices.max(0)
+    columns = int(np.flatnonzero(np.diff(vertices[:, 1]) > 1e-9)[0]) + 1
+    size = [*((high - low)[:2] / 2), max(high[2] - low[2], 1e-6), depth]
+    return (vertices[:, 2] - low[2]).reshape(-1, columns), size, [*((low + high)[:2] / 2), low[2]]
 
 
 def _hull(name: str, points: F64) -> Convex:

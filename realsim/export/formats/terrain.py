@@ -33,9 +33,7 @@ def terrain(scene: SceneOnDisk, folder: Path) -> list[Path]:
     shift = -np.array([*scene.bounds.mean(0)[:2], z])
     solids = [Manifold.hull_points(part.vertices + shift) for part in scene.convex]
     solids += [_above_floor(part.vertices + shift, part.triangles) for part in scene.surfaces]
-    for box in scene.boxes:
-        signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
-        solids.append(Manifold.hull_points((signs * box.half) @ box.rotation.T + box.position + shift))
+    solids += [Manifold.hull_points(box.corners + shift) for box in scene.boxes]
     whole = Manifold()
     for solid in solids:
         whole += solid
