@@ -98,14 +98,14 @@ class Fidelity:
     def meets(self, median: float, p95: float) -> bool:
         """Whether the tolerance is met: errors in metres, no leak, no phantom surface over a gap wider than a foot, and
         at most OFF of the heights and of the rays from the side off, as far as so few tell (two standard errors)."""
-        f = FAULTLESS | self.figures
+        f = {**FAULTLESS, **self.figures}
         ok = f["median_mm"] <= median * 1000 and f["p95_mm"] <= p95 * 1000
         return bool(ok and f["leaks"] == 0 and f["phantom_over_gaps_cm2"] == 0 and self.sound)
 
     @property
     def sound(self) -> bool:
         """Whether the shares that are off may be OFF or less."""
-        f = FAULTLESS | self.figures
+        f = {**FAULTLESS, **self.figures}
         counts = max(f["touches"], 1), max(f["sides"]["rays"], 1)
         return all(off <= OFF + 2 * math.sqrt(OFF * (1 - OFF) / n) for off, n in zip(self.off, counts, strict=True))
 
@@ -113,7 +113,7 @@ class Fidelity:
     def off(self) -> tuple[float, float]:
         """Shares of the heights that are off by more than DROP, and of the rays from the side that do not stop where
         they should (0 where nothing is beside)."""
-        f = FAULTLESS | self.figures
+        f = {**FAULTLESS, **self.figures}
         drop, stopped = f["drop"], f["sides"]["stopped"]
         return drop["phantom_share"] + drop["missing_share"], 0.0 if stopped is None else 1.0 - stopped
 
@@ -122,7 +122,7 @@ class Fidelity:
         gaps in square decimetres, and one for every LEAK of the balls thrown that got in, added up.
 
         Leaks do not go first: a height field lets few balls in, and fills a whole room below its ceiling."""
-        f = FAULTLESS | self.figures
+        f = {**FAULTLESS, **self.figures}
         leaks = f["leaks"] / max(f["leak_objects"], 1) / LEAK
         errors = f["median_mm"] / (1000 * median) + f["p95_mm"] / (1000 * p95)
         return float(leaks + errors + sum(self.off) / OFF + f["phantom_over_gaps_cm2"] / 100)
@@ -167,7 +167,7 @@ def measured(
     region = Region.around(reference, ground_z)
     sides = side_figures(spec, reference, region.lower, region.upper, ground_z, seed, bare=bare)
     figures: dict[str, Any] = {"sides": sides}
-    yield Fidelity(figures, Touches(np.zeros((0, 3)), *np.zeros((2, 0)), np.zeros((0, 3)), np.zeros(0)))
+    yield Fidelity(figures, Touches(np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros((0, 3)), np.zeros(0)))
     tick(0.2)
     ball = _Compare(spec, reference, BALL)
     xy, cell = region.grid(probes)
