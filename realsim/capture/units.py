@@ -26,6 +26,7 @@ UPRIGHT = 0.35
 UNITS = {
     "metres": 1.0,
     "millimetres": 1e-3,
+    "centimetres": 1e-2,
     "1/5000 m (TUM)": 1 / 5000,
     "1/4000 m (L515)": 1 / 4000,
     "1/10000 m": 1e-4,

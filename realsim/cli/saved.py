@@ -88,6 +88,9 @@ def updated(config: T, data: Mapping[str, Any], file: Path | None, where: str = 
     """
     hints = get_type_hints(type(config))
     known = [f.name for f in fields(config)]  # type: ignore[arg-type]
+    inner = {
+        f.name: part for part in known if is_dataclass(getattr(config, part)) for f in fields(getattr(config, part))
+    }
     new: dict[str, Any] = {}
     for name, value in data.items():
         path = f"{where}.{name}" if where else str(name)
@@ -96,7 +99,9 @@ def updated(config: T, data: Mapping[str, Any], file: Path | None, where: str = 
                 f"unknown option {path}",
                 file=file,
                 expected=f"some of {', '.join(known)}",
-                hint=did_you_mean(str(name), known) or f"remove {path}",
+                hint=f'write {{"{inner[name]}": {{"{name}": ...}}}}'
+                if name in inner
+                else did_you_mean(str(name), [*known, *inner]) or f"remove {path}",
             )
         if name in NEVER:
             continue

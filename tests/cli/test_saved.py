@@ -73,6 +73,14 @@ def test_a_file_that_does_not_fit_is_refused(text: str, message: str, tmp_path: 
         defaults_of(reconstruct, str(file), None)
 
 
+def test_an_option_without_its_section_is_told_where_it_goes(tmp_path: Path) -> None:
+    file = tmp_path / "mine.json"
+    file.write_text('{"max_frames": 9}')
+    with pytest.raises(RealsimError) as caught:
+        defaults_of(reconstruct, str(file), None)
+    assert caught.value.hint == 'write {"capture": {"max_frames": ...}}'
+
+
 def test_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "deep.json").write_text('{"capture": {"min_depth": 2.0}}')
     for arguments, message in (
