@@ -111,7 +111,10 @@ def _load(path: Path) -> Any:
         return mujoco.MjModel.from_xml_path(str(path))
     except ValueError as error:
         found = " ".join(str(error).split())
-        raise ExportError("MuJoCo does not load the model", file=path, expected="MJCF", found=found) from error
+        hint = "mend what MuJoCo names; python -m mujoco.viewer --mjcf=FILE loads it the same way"
+        raise ExportError(
+            "MuJoCo does not load the model", file=path, expected="MJCF", found=found, hint=hint
+        ) from error
 
 
 def _static(model: Any, path: Path) -> _Static:

@@ -77,7 +77,7 @@ def find_up(vertices: F64, triangles: NDArray[np.int64], suffix: str) -> Up:
     evidence = habit + (ratio if abs(ratio) > EDGEWISE else float(np.clip(ratio, -AREA, AREA)))
     evidence += FLOOR * (int(z.floor) - int(y.floor)) + BASE * (int(z.base) - int(y.base))
     axis = "z" if evidence > 0 else "y"
-    areas = f"{z.area:.2g} m2 face up along z, {y.area:.2g} m2 along y"
+    areas = f"{float(f'{z.area:.2g}'):g} m2 face up along z, {float(f'{y.area:.2g}'):g} m2 along y"
     if abs(evidence) < CLEAR:
         return Up(usual, f"z or y may point up ({areas}); {usual} was taken: pass --up z or --up y.")
     if axis == "z" and usual == "z":
