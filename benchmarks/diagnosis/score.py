@@ -23,6 +23,7 @@ PLACELESS = {
     "terrain_tilt",
     "terrain_scale",
     "thrust_gain",
+    "tendon_gain",
 }
 LARGE_SHARE = 0.3
 

@@ -207,7 +207,7 @@ CASES = {
     "scara_friction": Mistake("scara", "coulomb_friction", _joints(["z"], frictionloss=9), joints=("z",), log=FILTERED),
     "gripper_friction": Mistake("gripper", "coulomb_friction", _joints(["left_slide", "right_slide"], frictionloss=1.2),
                                 joints=("left_slide", "right_slide"), log=SLIDES),
-    "gripper_gain": Mistake("gripper", "motor_gain", _drive("grip", 0.6, 0.6), ("stiffness_gain",), log=SLIDES),
+    "gripper_gain": Mistake("gripper", "tendon_gain", _drive("grip", 0.6, 0.6), log=SLIDES),
     "hexapod_none": Mistake("hexapod", log=HOBBY),
     "hexapod_backlash": Mistake("hexapod", "backlash", _play("tibia_pitch", 0.05), joints=("tibia_pitch",), log=HOBBY),
     "hexapod_late": Mistake("hexapod", "command_delay", alike=("observation_delay", "actuator_lag"), delay=0.06,
