@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from realsim.core.errors import CaptureError
+from realsim.core.ordered import in_order
 from realsim.core.types import F32, F64, U8, Frame, FrameSet, Intrinsics
 
 LOOK_AT = 12
@@ -88,7 +89,7 @@ def put_right(capture: FrameSet) -> FrameSet:
 def misalignment(frames: Sequence[Frame]) -> Misalignment | None:
     """What is clearly wrong with the colour camera; None where depth is aligned, or nothing can be told."""
     chosen = [frames[k] for k in np.unique(np.linspace(0, len(frames) - 1, LOOK_AT).astype(int))]
-    scores = np.array([s for s in map(_scores, chosen) if s is not None])
+    scores = np.array([s for s in in_order(lambda k: _scores(chosen[k]), len(chosen)) if s is not None])
     if len(scores) < 3:
         return None
     credit, count = scores.sum(0)

@@ -8,6 +8,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
+from realsim.capture.association import associate
 from realsim.capture.images import COLOR_SUFFIXES, DEPTH_SUFFIXES
 from realsim.core.errors import PoseError
 
@@ -101,25 +104,44 @@ def last_number(stem: str) -> int | None:
     return int(digits[-1]) if digits else None
 
 
-def pair_by_stem(color: Sequence[Path], depth: Sequence[Path]) -> tuple[list[Pair], str]:
-    """Colour and depth files with the same stem, in natural order, and the rule that was used, in words.
+def pair_by_stem(color: Sequence[Path], depth: Sequence[Path], apart: float = 0.0) -> tuple[list[Pair], str]:
+    """Colour and depth files that belong together, in natural order, and the rule that was used, in words.
 
-    Where no stem agrees (`color_0001`, `depth_0001`) the last number in the name decides, provided that it names each
-    file uniquely. A file without a partner still makes a pair, so that it can be reported.
+    Of the same stem, the same number at its end (`color_0001`, `depth_0001`) and the same at its beginning
+    (`0000002-000000033369`) the rule that joins most, the first of equals. Where it joins less than half of the files
+    and their names are times: those at most `apart` seconds from each other. A file without a partner still makes a
+    pair, so that it can be reported.
     """
-    by_color, by_depth = {p.stem: p for p in color}, {p.stem: p for p in depth}
-    rule = "colour and depth with the same file name belong together"
-    if by_color and by_depth and not by_color.keys() & by_depth.keys():
-        numbered_color, numbered_depth = _by_number(color), _by_number(depth)
-        if numbered_color and numbered_depth:
-            by_color, by_depth = numbered_color, numbered_depth
-            rule = "colour and depth with the same number at the end of the file name belong together"
+    rules = (
+        ("with the same file name", {p.stem: p for p in color}, {p.stem: p for p in depth}),
+        ("with the same number at the end of the file name", _by_number(color, -1), _by_number(depth, -1)),
+        ("with the same number at the beginning of the file name", _by_number(color, 0), _by_number(depth, 0)),
+    )
+    how, by_color, by_depth = max(rules, key=lambda rule: len(rule[1].keys() & rule[2].keys()))
+    if 2 * len(by_color.keys() & by_depth.keys()) < min(len(color), len(depth)):
+        at_color, at_depth = _by_time(color), _by_time(depth)
+        a, b = np.array(sorted(at_color)), np.array(sorted(at_depth))
+        if matches := associate(a, b, apart):
+            how = f"at most {apart:g} s apart, by the times that are their names,"
+            partner = {at_depth[b[j]]: at_color[a[i]].stem for i, j in matches}
+            by_color, by_depth = rules[0][1], {partner.get(p, p.stem): p for p in depth}
     names = sorted(by_color.keys() | by_depth.keys(), key=natural_key)
-    return [Pair(name, by_color.get(name), by_depth.get(name)) for name in names], rule
+    return [Pair(n, by_color.get(n), by_depth.get(n)) for n in names], f"colour and depth {how} belong together"
 
 
-def _by_number(paths: Sequence[Path]) -> dict[str, Path]:
-    numbers = [last_number(p.stem) for p in paths]
-    if None in numbers or len(set(numbers)) != len(numbers):
-        return {}
-    return {f"{number:06d}": path for number, path in zip(numbers, paths, strict=True)}
+def _by_number(paths: Sequence[Path], which: int) -> dict[str, Path]:
+    """Files by the run of digits at that place in their names; none, unless each has another."""
+    numbers = [digits[which] for p in paths if (digits := re.findall(r"\d+", p.stem))]
+    by_number = {f"{int(number):06d}": path for number, path in zip(numbers, paths, strict=False)}
+    return by_number if len(by_number) == len(paths) else {}
+
+
+def _by_time(paths: Sequence[Path]) -> dict[float, Path]:
+    """Files by the seconds that are their names, also in milli-, micro- or nanoseconds since 1970; none, unless each
+    has another."""
+    by_time = {}
+    for path in paths:
+        if re.fullmatch(r"\d{10,19}|\d+\.\d+", path.stem):
+            seconds = float(path.stem)
+            by_time[seconds / 1000 ** max(0, int(np.log10(max(seconds, 1)) - 8) // 3)] = path
+    return by_time if len(by_time) == len(paths) else {}

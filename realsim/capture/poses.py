@@ -175,7 +175,7 @@ def settle_poses(capture: FrameSet, reach: float) -> tuple[FrameSet, PoseReport]
         else:
             kept.append(frame.with_pose(result[0]))
             deviations.append(result[1])
-    astray = _astray(kept, 2 * reach if capture.poses_metric else 0.0)
+    astray = _astray(kept, 2 * reach if capture.poses_metric else 0.0, " m" if capture.poses_metric else "")
     dropped += [Dropped(kept[i].name, reason) for i, reason in astray.items()]
     kept = [frame for i, frame in enumerate(kept) if i not in astray]
     deviations = [deviation for i, deviation in enumerate(deviations) if i not in astray]
@@ -200,9 +200,9 @@ def settle_poses(capture: FrameSet, reach: float) -> tuple[FrameSet, PoseReport]
     return settled, report
 
 
-def _astray(frames: Sequence[Frame], reach: float) -> dict[int, str]:
+def _astray(frames: Sequence[Frame], reach: float, unit: str) -> dict[int, str]:
     """Index -> reason, of frames whose camera is so far from the middle of all that it sees nothing of theirs, or leaps
-    away from both of its neighbours, which stayed together."""
+    away from both of its neighbours, which stayed together. `unit` follows the numbers of a reason."""
     if len(frames) < 3:
         return {}
     at = np.array([np.asarray(f.T_world_camera)[:3, 3] for f in frames])
@@ -212,12 +212,12 @@ def _astray(frames: Sequence[Frame], reach: float) -> dict[int, str]:
         over = np.linalg.norm(at[2:] - at[:-2], axis=1)
     typical = float(np.median(away))
     out = {
-        int(i): f"its pose is {away[i]:.3g} m away from the others' middle, theirs usually {typical:.3g} m"
+        int(i): f"its pose is {away[i]:.3g}{unit} away from the others' middle, theirs usually {typical:.3g}{unit}"
         for i in np.flatnonzero(~(away <= FAR * typical + reach))
     }
     step = float(np.median(steps))
     leap = np.minimum(steps[:-1], steps[1:])
     for k in np.flatnonzero((leap > LEAP * step + LEAST_LEAP * reach) & (leap > 5 * over)):
         i = int(k) + 1
-        out.setdefault(i, f"its pose leaps {leap[k]:.3g} away and back, where steps are usually {step:.3g}")
+        out.setdefault(i, f"its pose leaps {leap[k]:.3g}{unit} away and back, where steps are usually {step:.3g}{unit}")
     return out

@@ -78,8 +78,11 @@ def height_field(model: Any, field: int, apart: int = 1) -> tuple[NDArray[np.flo
 def faces_by_place(vertices: NDArray[Any], triangles: NDArray[Any]) -> NDArray[np.int64]:
     """(K, 3) triangles over vertices of which there is one a place (0.1 micrometres): files that list the corners of
     every triangle (STL) have one a corner."""
-    _, merged = np.unique(np.round(vertices, 7), axis=0, return_inverse=True)
-    return np.asarray(merged.reshape(-1)[triangles], np.int64)
+    places = np.round(vertices, 7)
+    order = np.lexsort(places.T[::-1])  # many times faster than `np.unique` over rows
+    merged = np.zeros(len(places), np.int64)
+    merged[order[1:]] = np.cumsum((np.diff(places[order], axis=0) != 0).any(1))
+    return merged[triangles]
 
 
 def connected(faces: NDArray[Any]) -> NDArray[np.int64]:

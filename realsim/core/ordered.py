@@ -6,10 +6,15 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from typing import TypeVar
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 T = TypeVar("T")
 THREADS = min(4, os.cpu_count() or 1)
+ROWS = 8192
+"""Rows of an array that are worked on at once: with what is made of them they fit a processor's cache."""
 
 
 def in_order(function: Callable[[int], T], n: int) -> Iterator[T]:
@@ -20,3 +25,10 @@ def in_order(function: Callable[[int], T], n: int) -> Iterator[T]:
             yield waiting.popleft().result()
             if i + 2 * THREADS < n:
                 waiting.append(pool.submit(function, i + 2 * THREADS))
+
+
+def by_rows(function: Callable[[slice], tuple[NDArray[Any], ...]], n: int) -> tuple[NDArray[Any], ...]:
+    """The arrays that a function makes of some of `n` rows, of all of them: in threads, a few rows at a time."""
+    starts = range(0, max(n, 1), ROWS)
+    parts = in_order(lambda k: function(slice(starts[k], starts[k] + ROWS)), len(starts))
+    return tuple(np.concatenate(column) for column in zip(*parts, strict=True))

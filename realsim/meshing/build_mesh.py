@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 
 from realsim.core.errors import MeshError
@@ -51,7 +53,12 @@ def build(aligned: AlignedScene, config: MeshConfig) -> TerrainMesh:
         surface = colored_from(surface, evidence.points.points, evidence.points.colors)
     elif full.colors is not None:
         surface = colored_from(surface, full.vertices, full.colors)
-    quality = check(surface)
+    beside = ThreadPoolExecutor(1)  # measures the surface while it is being closed
+    quality, distances = (
+        beside.submit(check, surface),
+        beside.submit(residuals, aligned, surface, config.residual_views),
+    )
+    beside.shutdown(wait=False)
     statistics |= {
         "islands_removed": islands,
         "triangles_before_decimation": len(full.triangles),
@@ -76,11 +83,11 @@ def build(aligned: AlignedScene, config: MeshConfig) -> TerrainMesh:
         triangles=whole.triangles,
         colors=whole.colors,
         invented=mask,
-        quality=quality,
+        quality=quality.result(),
         method=name,
         resolution=resolution,
         noise_m=noise,
-        residuals=residuals(aligned, surface, config.residual_views),
+        residuals=distances.result(),
         warnings=tuple(warnings),
         statistics=statistics,
         inferred=inferred if inferred.any() else None,

@@ -69,10 +69,10 @@ def _split_fans(surface: Surface) -> Surface:
     if len(surface.triangles) == 0:
         return surface
     fan = corner_fans(surface.triangles)
-    _, first, number = np.unique(fan, return_index=True, return_inverse=True)
-    old = surface.triangles.ravel()[first]
+    old = np.empty(fan.max() + 1, np.int64)
+    old[fan] = surface.triangles.ravel()  # all corners of a fan are of one vertex
     colors = None if surface.colors is None else surface.colors[old]
-    return Surface(surface.vertices[old], number.reshape(-1, 3).astype(np.int32), colors)
+    return Surface(surface.vertices[old], fan.reshape(-1, 3).astype(np.int32), colors)
 
 
 def canonical(surface: Surface) -> Surface:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from realsim.core.meshes import sum_by_key
+from realsim.core.ordered import by_rows
 from realsim.core.types import F64, U8, Bool
 from realsim.meshing.views import Samples
 
@@ -120,24 +121,26 @@ def project(points: Points, radius: float, iterations: int = 2, neighbours: int 
         return points, 0.0
     tree = cKDTree(P)
     distance, near = tree.query(P, k=neighbours, distance_upper_bound=2 * radius, workers=2)
-    missing = near == len(P)
-    near[missing] = 0
-    base = np.exp(-0.5 * (distance / radius) ** 2, where=~missing, out=np.zeros_like(distance)) * points.weights[near]
-    noise, alike = 0.0, np.ones(len(P), bool)
-    for step in range(iterations):
-        agree = np.einsum("mki,mi->mk", N[near], N)
-        w = base * np.exp((np.minimum(agree, 1) - 1) / 0.06)
-        total = w.sum(1)
-        offset = np.einsum("mki,mi->mk", P[near] - P[:, None], N)
-        move = (w * offset).sum(1) / np.maximum(total, 1e-12)
-        if step == 0:
-            noise = float(1.4826 * np.median(np.abs(move)))
-            # Even in a corner of three faces a good point finds a quarter of its neighbours facing its way.
-            own = base * (distance < 1e-9)
-            alike = (w - own).sum(1) > 0.1 * (base - own).sum(1)
-        P = P + np.clip(move, -radius, radius)[:, None] * N
-        N = np.einsum("mk,mki->mi", w, N[near])
-        N /= np.maximum(np.linalg.norm(N, axis=1, keepdims=True), 1e-12)
+    near[near == len(P)] = 0  # at an infinite distance
+
+    def moved(some: slice) -> tuple[F64, F64, F64, Bool]:
+        """Of some points: places, normals, by how much they moved, and whether neighbours face their way."""
+        p, n, around = P[some], N[some], N[near[some]]
+        base = np.exp(-0.5 * (distance[some] / radius) ** 2) * points.weights[near[some]]
+        w = base * np.exp((np.minimum(np.einsum("mki,mi->mk", around, n), 1) - 1) / 0.06)
+        offset = np.einsum("mki,mi->mk", P[near[some]] - p[:, None], n)
+        move = (w * offset).sum(1) / np.maximum(w.sum(1), 1e-12)
+        # Even in a corner of three faces a good point finds a quarter of its neighbours facing its way.
+        other = distance[some] >= 1e-9
+        alike = (w * other).sum(1) > 0.1 * (base * other).sum(1)
+        normal = np.einsum("mk,mki->mi", w, around)
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+        return p + np.clip(move, -radius, radius)[:, None] * n, normal, move, alike
+
+    P, N, move, alike = by_rows(moved, len(P))
+    noise = float(1.4826 * np.median(np.abs(move)))
+    for _ in range(1, iterations):
+        P, N, *_ = by_rows(moved, len(P))
     return Points(P, N, points.weights, points.views, points.colors).where(alike), noise
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.core.geometry import invert_T, transform
+from realsim.core.ordered import by_rows
 from realsim.core.types import F32, F64, Bool, Intrinsics
 
 UNIT = 0.0005
@@ -66,19 +67,22 @@ def votes(
     Returns:
         (M,) views that saw something clearly farther, with all neighbouring pixels; (M,) views that saw it there.
     """
-    through = np.zeros(len(points), np.int32)
-    measured = np.zeros(len(points), np.int32)
-    for m in maps:
-        P = transform(m.T_camera_sim, points)
-        z = P[:, 2]
-        v, u, inside = m.camera.pixels(P, near=0.05)
-        seen = np.flatnonzero(inside)
-        near = m.depth[v[seen], u[seen]] * UNIT
-        far = m.far[v[seen], u[seen]] * UNIT
-        known = near > 0
-        tolerance = slack + 3 * sigma * z[seen] ** 2
-        through[seen] += known & (near - z[seen] > tolerance)
-        measured[seen] += known & (near - z[seen] <= tolerance) & (z[seen] - far <= tolerance)
+
+    def of_rows(some: slice) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+        through, measured = np.zeros((2, len(points[some])), np.int32)
+        for m in maps:
+            P = transform(m.T_camera_sim, points[some])
+            v, u, inside = m.camera.pixels(P, near=0.05)
+            seen = np.flatnonzero(inside)
+            z = P[seen, 2]
+            near, far = (depth[v[seen], u[seen]] * UNIT for depth in (m.depth, m.far))
+            known = near > 0
+            tolerance = slack + 3 * sigma * z**2
+            through[seen] += known & (near - z > tolerance)
+            measured[seen] += known & (near - z <= tolerance) & (z - far <= tolerance)
+        return through, measured
+
+    through, measured = by_rows(of_rows, len(points))
     return through, measured
 
 

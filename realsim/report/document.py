@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -22,14 +23,18 @@ _LISTED = 6  # dropped frames that are not folded
 
 
 def reconstruction_page(
-    folder: Path, result: Reconstruction, judgement: Judgement, made: Made, picture: U8 | str | None = None
+    folder: Path,
+    result: Reconstruction,
+    judgement: Judgement,
+    made: Made,
+    picture: Callable[[], U8 | str] | None = None,
 ) -> str:
     """The whole page.
 
     Args:
         folder: holds the exported scene.
         made: when and how the scene was made.
-        picture: (H, W, 3) RGB as MuJoCo draws the scene, or why it could not; None leaves the picture out.
+        picture: waits for (H, W, 3) RGB as MuJoCo draws the scene, or why it could not; None leaves the picture out.
     """
     metric = result.aligned.metric
     backend = metric.backend if metric is not None else "scan"
@@ -44,10 +49,7 @@ def reconstruction_page(
         first, second = second, first
     # Beside the checks, which are as long as all notes, or below the short card of commands.
     (second if judgement.level == "bad" else notes).extend(contact_card(result))
-    body = [
-        page.verdict(judgement.level, judgement.headline, judgement.reasons, judgement.next_steps),
-        page.facts(_facts(result)),
-        page.columns(_picture_card(picture), first) if picture is not None else page.grid(*first),
+    below = [
         page.grid(
             page.card("The scene and its collision geometry (orange)", view, drag, wide=True),
             page.card("From above", map_from_above(result.aligned, result.mesh, marks, unseen=unseen), wide=True),
@@ -56,6 +58,12 @@ def reconstruction_page(
         page.columns(second, notes),
         page.grid(*modes_card(result), *_residual_card(result), *_thumbnail_card(result)),
         page.columns([_run_card(result, made)], [_mesh_card(result), _versions_card(result)]),
+    ]
+    body = [
+        page.verdict(judgement.level, judgement.headline, judgement.reasons, judgement.next_steps),
+        page.facts(_facts(result)),
+        page.columns(_picture_card(picture()), first) if picture is not None else page.grid(*first),
+        *below,
     ]
     title = f"Reconstruction of {'/'.join(result.source.source.parts[-2:])}"
     subtitle = f"{views}, layout {result.source.layout}, backend {backend}, surface {result.mesh.method}"

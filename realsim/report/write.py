@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from realsim.core.errors import RealsimError
@@ -24,11 +25,13 @@ def write_report(folder: Path, result: Reconstruction, *, picture: bool = True) 
         folder: holds the exported scene, whose collision geometry is read for the 3D view.
         picture: draw the scene with MuJoCo for the page.
     """
-    judgement, made = judge(result), Made.now()
-    written = {"files": file_digests(folder, without=("report.json", "report.html"))}
-    write_text(folder / "report.json", to_json(summary(result, judgement, made) | written))
-    drawn = _drawn(folder / result.scene.scene_xml.name) if picture else None
-    write_text(folder / "report.html", reconstruction_page(folder, result, judgement, made, drawn))
+    with ThreadPoolExecutor(1) as beside:  # another process draws
+        drawn = beside.submit(_drawn, folder / result.scene.scene_xml.name) if picture else None
+        judgement, made = judge(result), Made.now()
+        written = {"files": file_digests(folder, without=("report.json", "report.html"))}
+        write_text(folder / "report.json", to_json(summary(result, judgement, made) | written))
+        page = reconstruction_page(folder, result, judgement, made, drawn.result if drawn else None)
+        write_text(folder / "report.html", page)
 
 
 def _drawn(scene_xml: Path) -> U8 | str:

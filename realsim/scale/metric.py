@@ -72,7 +72,7 @@ def to_metric(
 
     def load(i: int) -> PointView:
         view = points.load(i)
-        return replace(view, points=view.points * np.float32(scale.value))
+        return view if scale.value == 1 else replace(view, points=view.points * np.float32(scale.value))
 
     return MetricScene(
         frames=points.frames,

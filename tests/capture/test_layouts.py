@@ -362,15 +362,23 @@ def test_plain_without_colour_is_a_capture_without_colour(tmp_path):
     assert "there is no colour" in capture.assumptions
 
 
-def test_plain_pairs_files_by_number_where_names_differ(tmp_path):
+@pytest.mark.parametrize(
+    ("color", "depth", "rule"),
+    [
+        ("color_{0}", "depth_{0}", "same number at the end"),
+        ("{0:07d}-{1:06d}", "{0:07d}-{2:06d}", "same number at the beginning"),
+        ("1548266469.{1:05d}", "1548266469.{2:05d}", "s apart"),
+        ("15482664691{1:05d}77", "15482664691{2:05d}77", "s apart"),
+    ],
+)
+def test_plain_pairs_files_by_number_or_time_where_names_differ(tmp_path, color, depth, rule):
     write_plain(tmp_path, walk(3))
-    for path in (tmp_path / "rgb").iterdir():
-        path.rename(path.with_name(f"color_{path.name}"))
-    for path in (tmp_path / "depth").iterdir():
-        path.rename(path.with_name(f"depth_{path.name}"))
+    for folder, name in (("rgb", color), ("depth", depth)):
+        for i, path in enumerate(sorted((tmp_path / folder).iterdir())):
+            path.rename(path.with_stem(name.format(i, 10_000 * i, 10_000 * i + 700 * (i > 0))))
     capture = frames_of(tmp_path)
     assert len(capture) == 3
-    assert any("same number" in a for a in capture.assumptions)
+    assert any(rule in a for a in capture.assumptions)
 
 
 def test_depth_smaller_than_colour_is_the_same_view_on_another_grid(tmp_path):

@@ -84,7 +84,7 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
         raise no_intrinsics(folder, (*INTRINSICS, CAM_PARAMS))
     color, depth = image_files(folder)
     require_both(color, depth, folder, "color/ and depth/ with images")
-    pairs, rule = pair_by_stem(color, depth)
+    pairs, rule = pair_by_stem(color, depth, config.max_time_difference)
     try:
         of_depth, of_color, assumed = cameras(camera, color, depth)
     except CaptureError as error:

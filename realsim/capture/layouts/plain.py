@@ -42,7 +42,7 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
         raise CaptureError("colour without depth", file=folder, expected="depth/ with 16-bit PNG or float images")
     if source is None:
         raise no_intrinsics(folder, ("intrinsics.json", "intrinsics.yaml", "intrinsics.txt"))
-    pairs, rule = pair_by_stem(color, depth)
+    pairs, rule = pair_by_stem(color, depth, config.max_time_difference)
     camera = read_camera(source)
     of_depth, of_color, assumed = cameras(camera, color, depth)
     unit = depth_unit(0.001, "the usual convention; this layout has none of its own", config, camera)

@@ -21,6 +21,7 @@ PLAUSIBLE_EXTENT = (0.2, 100.0)
 """Metres: how long a terrain with its surroundings can be. Beyond, the unit is wrong, or it is a map."""
 USUAL_EXTENT = (0.5, 30.0)
 SMALLEST = float(np.finfo(np.float32).tiny)
+"""Smaller than single precision keeps: such numbers come of damaged bits, not of programs."""
 METRES = (".las", ".laz", ".pcd")
 """Formats whose unit is the metre: laser scanners and robots write no other."""
 
@@ -126,14 +127,13 @@ def _checked(raw: RawScan, source: Path) -> tuple[RawScan, list[str]]:
         raise CaptureError("the scan is empty", file=source, expected="points or triangles")
     if raw.triangles is not None and not (raw.triangles.min() >= 0 and raw.triangles.max() < len(raw.points)):
         raise CaptureError("triangles refer to missing points", file=source)
-    # Numbers too small for single precision come of damaged bits, not of programs.
-    usual = (np.abs(raw.points) > SMALLEST) | (raw.points == 0)
+    usual = (np.abs(raw.points) >= SMALLEST) | (raw.points == 0)
     finite: Bool = (usual & np.isfinite(raw.points)).all(axis=1)
     if raw.triangles is not None and not finite.all():
         raise CaptureError(
             "vertices of the mesh are no places: the file is damaged",
             file=source,
-            expected=f"{len(finite)} vertices with finite coordinates",
+            expected=f"{len(finite)} vertices of finite coordinates, each 0 or not below {SMALLEST:.1e} in size",
             found=f"{finite.sum()}; the first other is {raw.points[~finite][0].tolist()}",
             hint="export it again, or mend it in a mesh editor",
         )

@@ -1,7 +1,7 @@
 """7-Scenes, tsdf-fusion, BundleFusion: frame-XXXXXX.color.*, frame-XXXXXX.depth.png, frame-XXXXXX.pose.txt together.
 
 Sources: the 7-Scenes page of Microsoft Research (depth in mm, 65535 invalid, pose camera to world) and tsdf-fusion's
-README (depth 0 invalid, `camera-intrinsics.txt` a 3x3 matrix); BundleFusion's `info.txt`.
+README (depth 0 invalid, `camera-intrinsics.txt` a 3x3 matrix); BundleFusion's `info.txt`, in 3RScan `_info.txt`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from realsim.capture.poses import pose_in
 from realsim.core.errors import CaptureError
 from realsim.core.types import FrameSet
 
-INTRINSICS = ("camera-intrinsics.txt", "intrinsics.txt", "intrinsics.json", "intrinsics.yaml", "info.txt")
+INTRINSICS = ("camera-intrinsics.txt", "intrinsics.txt", "intrinsics.json", "intrinsics.yaml", "info.txt", "_info.txt")
 
 
 def frame_files(folder: Path) -> dict[str, dict[str, Path]]:

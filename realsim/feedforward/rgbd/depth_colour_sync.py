@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.core.errors import PoseError
+from realsim.core.ordered import in_order
 from realsim.core.types import F64
 from realsim.feedforward.rgbd.extrinsic_calibration import Grids
 from realsim.feedforward.rgbd.features import View, match_descriptors, rigid_ransac
@@ -115,11 +116,13 @@ def measure_shares(views: Sequence[View], seed: int) -> dict[Reading, F64] | Non
     n, firsts = len(views), []
     for step in STEPS:
         firsts += [(i, step) for i in np.unique(np.linspace(0, n - step - 1, PAIRS).astype(int)) if n > step]
-    found = [(i, i + step, *match_descriptors(views[i], views[i + step])) for i, step in firsts]
-    found = [m for m in found if len(m[2]) >= LEAST]
+    alike = in_order(lambda k: match_descriptors(views[firsts[k][0]], views[sum(firsts[k])]), len(firsts))
+    found = [(i, i + step, *m) for (i, step), m in zip(firsts, alike, strict=True) if len(m[0]) >= LEAST]
     if len(found) < PAIRS // 2:
         return None
-    shares = {r: np.array([_rigid(views, *m, r, seed) for m in found]) for r in (Reading(), *OTHERS)}
+    readings = (Reading(), *OTHERS)
+    each = in_order(lambda k: [_rigid(views, *found[k], r, seed) for r in readings], len(found))
+    shares = dict(zip(readings, np.array(list(each)).T, strict=True))
     return {r: share for r, share in shares.items() if 2 * np.isfinite(share).sum() >= len(found)}
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.core.geometry import invert_T, transform
+from realsim.core.ordered import in_order
 from realsim.core.types import F64, Bool, Frame
 from realsim.feedforward.rgbd.features import View, match_descriptors, rigid_ransac
 
@@ -64,7 +65,7 @@ def find_ego_mask(frames: Sequence[Frame], T_world_camera: F64) -> Bool | None:
     width, height = sizes.pop()
     rows = max(1, round(COLUMNS * height / width))
     cameras = [frames[i].intrinsics.resized(COLUMNS, rows) for i in some]
-    depth = np.stack([_coarse(frames[i].depth(), rows) for i in some])
+    depth = np.stack(list(in_order(lambda k: _coarse(frames[some[k]].depth(), rows), len(some))))
     near = np.stack([_nearest(z) for z in depth])
     through, judged = _looked_through(depth, near, cameras, T_world_camera[some])
     count = judged.sum(0)

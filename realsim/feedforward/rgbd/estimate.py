@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from realsim.core.geometry import invert_T
+from realsim.core.ordered import in_order
 from realsim.core.progress import track
 from realsim.core.types import F64
 from realsim.feedforward.rgbd.features import Match, View, build_tracks
@@ -136,8 +137,9 @@ class Net:
 def connect(views: Sequence[View], seed: int, learned: bool = True) -> Net:
     """Every believable pair, by features; by learned ones and by shape where these leave the sequence in pieces."""
     net = Net([], [], {}, list(views), set(), [], {})
-    for i, j in track(propose_pairs(views, seed), "pairs"):
-        found = match_by_features(views, i, j, seed)
+    pairs = propose_pairs(views, seed)
+    matched_pairs = in_order(lambda k: match_by_features(views, *pairs[k], seed), len(pairs))
+    for (i, j), found in zip(pairs, track(matched_pairs, "pairs", len(pairs)), strict=True):
         if found is None:
             continue
         matched, fit = found
