@@ -251,9 +251,12 @@ class _Run:
 
 
 def import_ahead() -> None:
-    """Import what later stages need, three seconds of one core, while views are read."""
-    for name in ("open3d", "scipy.ndimage", "scipy.spatial", "skimage.measure", "mujoco"):
-        with suppress(ImportError, OSError):  # where it is needed it is said
+    """Import what later stages need, two seconds of one core, while views are read.
+
+    Only packages that share no modules of their own with what is imported meanwhile.
+    """
+    for name in ("open3d", "mujoco"):
+        with suppress(Exception):  # the stage that needs it says so
             import_module(name)
 
 
