@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from realsim.gap import Case, load_case
+from realsim.gap.config import ExciteConfig
+from realsim.gap.experiments import proposal
 from tests.truths.diagnosis.plant import Plant
 from tests.truths.diagnosis.robots import ROBOTS
 from tests.truths.diagnosis.truth import Truth as TrueRobot
@@ -16,6 +19,15 @@ from tests.truths.written import write_case
 
 from .searching import flights, logged
 from .truth import ARM, Truth, make_case
+
+
+@pytest.fixture(scope="session", autouse=True)
+def the_next_experiment_is_a_short_one() -> Iterator[None]:
+    """Every ambiguous diagnosis looks for one, for as long as all else takes; `experiments` tests it as it is."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(proposal, "MOST_FREEDOM", 0)
+        patch.setattr(proposal, "ExciteConfig", partial(ExciteConfig, seconds=2.0))
+        yield
 
 
 @pytest.fixture(scope="session")
