@@ -93,6 +93,8 @@ def _unit_by(raw: F64, receive: F64) -> tuple[F64, str]:
 def _unfit(raw: F64) -> str:
     """Why a clock tells nothing, or an empty text."""
     good = raw[np.isfinite(raw)]
+    if len(raw) < 2:
+        return "it has one sample"
     if len(good) < max(2, 0.9 * len(raw)):
         return "most samples have no stamp"
     steps = np.diff(good)

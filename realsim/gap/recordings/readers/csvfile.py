@@ -28,7 +28,7 @@ def read(path: Path, window: Window) -> list[Recording]:
     found = read_text_table(path, lambda cell: split_unit(f"x [{cell}]")[1], lambda size: refuse_more(path, size))
     columns = {n: v for n, v in found.columns.items() if np.isfinite(v).any()}
     dropped = [n for n in found.parts if n and n not in columns]
-    if not columns and dropped:
+    if not columns and found.columns:
         raise GapError("no column holds numbers", file=path, found=f"text in {', '.join(dropped[:8])}")
     if not columns:
         raise no_samples(path, "a header and one row per sample")
