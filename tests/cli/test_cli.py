@@ -150,14 +150,9 @@ def test_every_option_that_is_spoken_of_exists() -> None:
     """In messages, docstrings and docs: what they tell people to type must be taken."""
     pytest.importorskip("torch")
     others = {"--head", "--mjcf"}  # of ray and MuJoCo's viewer
-    others |= {
-        "--opset",
-        "--tolerance",
-        "--course",
-    }  # of tools/export_onnx and benchmarks/training/closed_loop.py, by tyro
+    others |= {"--opset", "--tolerance", "--course"}  # of tools/export_onnx and benchmarks/training, by tyro
     others |= {"--logdir", "--nproc-per-node", "--nnodes", "--rdzv-endpoint"}  # of tensorboard and torchrun
-    others |= {"--upgrade"}  # of pip
-    others |= {"--env"}  # of GNU parallel
+    others |= {"--upgrade", "--env", "--csv"}  # of pip, of GNU parallel and of ros2 topic echo
     known = {name for c in commands().values() for option in options_of(c.load())[1] for name in option.names}
     known = {name.rstrip("0123456789") for name in known}
     known |= {"--help", "--json", "--quiet", "--version", "--completion", "--config", "--preset"}
