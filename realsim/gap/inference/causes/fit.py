@@ -78,14 +78,16 @@ class Fitter(GaussNewton):
 
     def beside_own(self, fit: Fit) -> Fit:
         """The same causes beside the everyday deviations that are most probable beside them, by simulation: slopes lead
-        there in a few steps, each halved where the simulation itself does not come nearer."""
+        there in a few steps, each halved where the simulation itself does not come nearer; none is tried that slopes
+        themselves give too little for, but where feet slip and land, of which they tell little."""
+        touches = self.screen.simulator.context.touches
         whole = [atom.parameter.whole for atom in self.screen.atoms]
         nearer: Fit | None = fit
         while nearer is not None:
             fit, nearer = nearer, None
             x = self.screen.possible(fit.evidence.centre + deviations(self.screen, fit))
             least = self._cost(fit) - 2 * figures.CLEARLY
-            for share in figures.PARTS:
+            for share in figures.PARTS if touches or self._cost(fit, x - fit.about) < least else ():
                 about = np.where(whole, fit.about, fit.about + share * (x - fit.about))
                 moved = self.under(about=about).looked_at(fit, fit.causes)
                 if moved is not None and self._cost(moved) < least:
@@ -134,9 +136,9 @@ class Fitter(GaussNewton):
         there = fit if best[1] is last else beside.looked_at(fit, (*others, best[1]))
         return there if there is not None and there.misfit < fit.misfit else fit
 
-    def _cost(self, fit: Fit) -> float:
-        """Weighted squared residual of the simulation itself."""
-        rests = (self.screen.residual(k, y) for k, y in enumerate(fit.predictions))
+    def _cost(self, fit: Fit, x: F64 | float = 0.0) -> float:
+        """Weighted squared residual of the simulation itself; with small deviations (p,) added by their slopes."""
+        rests = (self.screen.residual(k, y, x) for k, y in enumerate(fit.predictions))
         weights = (self.conditions.weights.of[run] for run in self.screen.runs)
         return float(sum(np.nansum(w * r**2) for w, r in zip(weights, rests, strict=True)))
 
