@@ -17,7 +17,7 @@ from realsim.feedforward.rgbd.icp_links import link_by_shape
 from realsim.feedforward.rgbd.keyframes import choose_by_matching
 from realsim.feedforward.rgbd.learned import join_pieces
 from realsim.feedforward.rgbd.localize import Landmarks, localize
-from realsim.feedforward.rgbd.loop_closure import HONEST, LINKS, Joined, join
+from realsim.feedforward.rgbd.loop_closure import Joined, join
 from realsim.feedforward.rgbd.matching import (
     is_believable,
     make_edge,
@@ -204,19 +204,12 @@ def _lost(views: Sequence[View], net: Net, joined: Joined) -> dict[int, str]:
 
 
 def _said(views: Sequence[View], joined: Joined) -> tuple[str, ...]:
-    """That the place looks alike elsewhere, and pieces that could not be joined, in words."""
-    said, refused, alike = [], len(joined.refused), len(joined.refused) + len(joined.edges)
-    if refused >= LINKS and refused > (1 - HONEST) * alike:
-        said.append(
-            f"the place repeats itself: {refused} of {alike} pairs of frames that look alike contradict the others. "
-            "That frames next to each other are not a whole repeat apart is taken from their order: record with "
-            "smaller steps, or check a length"
-        )
+    """Pieces that could not be joined, in words."""
     pieces = [p for p in joined.parts[1:] if len(p) >= WORTH_TELLING]
-    if pieces:
-        named = ", ".join(f"{views[p[0]].name} to {views[p[-1]].name} ({len(p)} frames)" for p in pieces[:4])
-        said.append(
-            f"the capture falls into {len(pieces) + 1} pieces that nothing joins for certain; the largest of "
-            f"{len(joined.used)} frames is used, not {named}"
-        )
-    return tuple(said)
+    if not pieces:
+        return ()
+    named = ", ".join(f"{views[p[0]].name} to {views[p[-1]].name} ({len(p)} frames)" for p in pieces[:4])
+    return (
+        f"the capture falls into {len(pieces) + 1} pieces that nothing joins for certain; the largest of "
+        f"{len(joined.used)} frames is used, not {named}",
+    )
