@@ -251,13 +251,9 @@ class _Run:
 
 
 def import_ahead() -> None:
-    """Import what later stages need, two seconds of one core, while views are read.
-
-    Only packages that share no modules of their own with what is imported meanwhile.
-    """
-    for name in ("open3d", "mujoco"):
-        with suppress(Exception):  # the stage that needs it says so
-            import_module(name)
+    """Import Open3D, a second and a half of one core, while views are read."""
+    with suppress(Exception):  # the stage that needs it says so
+        import_module("open3d")
 
 
 def release_memory() -> None:
