@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 
 from realsim.core.errors import RealsimError
-from realsim.core.files import explain_write_errors, read_npz
+from realsim.core.files import explain_write_errors
 from realsim.core.progress import track
 from realsim.core.registry import Registry
 from trainer.errors import TrainerError
@@ -57,25 +57,6 @@ class Recording:
     """Seconds between rows."""
     outcome: str
     """Its outcome: a name of `terminations.OUTCOMES`."""
-
-    def save(self, path: str | Path) -> None:
-        """As .npz."""
-        with explain_write_errors(Path(path)):
-            np.savez_compressed(path, qpos=self.qpos, dt=self.dt, outcome=self.outcome)
-
-    @staticmethod
-    def load(path: str | Path) -> Recording:
-        """The inverse.
-
-        Raises:
-            RealsimError: not an .npz of plain arrays.
-            TrainerError: not a recording.
-        """
-        data = read_npz(Path(path), 2**28)
-        try:
-            return Recording(np.asarray(data["qpos"], float), float(data["dt"]), str(data["outcome"]))
-        except (ValueError, KeyError, TypeError) as error:
-            raise TrainerError("not a recording", file=path, expected="qpos, dt, outcome", found=str(error)) from error
 
 
 @torch.inference_mode()

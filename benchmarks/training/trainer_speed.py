@@ -36,7 +36,7 @@ from trainer.ppo import policy as policies
 from trainer.ppo.config import PPOConfig
 from trainer.ppo.distributed import Rank, all_sum, ranks
 from trainer.ppo.runner import Runner
-from trainer.rays import caster as make_caster
+from trainer.rays import CASTERS
 from trainer.robots import ROBOTS
 from trainer.tasks.parkour import ParkourConfig, ParkourEnv, make
 from trainer.tasks.parkour.config import DepthConfig
@@ -165,7 +165,7 @@ def engine_alone(config: Config, rank: Rank) -> dict[str, float]:
     base = torch.tensor([0.0, 0.0, robot.standing_height], device=device)
     upright = torch.tensor([1.0, 0.0, 0.0, 0.0], device=device)
 
-    caster = make_caster("warp" if device.type == "cuda" else "embree", terrains, str(device))
+    caster = CASTERS["warp" if device.type == "cuda" else "embree"](terrains, str(device))
     camera = DepthCamera(robot.camera, DepthConfig(), caster, worlds, device) if robot.camera else None
     lands = torch.zeros(worlds, dtype=torch.long, device=device)
 

@@ -11,7 +11,7 @@ import torch
 
 from trainer.commands.deploy import body_of
 from trainer.deploy.loop import DeployConfig, deploy
-from trainer.deploy.mujoco import MujocoRobot, quiet
+from trainer.deploy.mujoco import MujocoRobot
 from trainer.deploy.observer import Observer
 from trainer.deploy.robot import Reading
 from trainer.errors import TrainerError
@@ -24,7 +24,7 @@ from trainer.terrain import generate
 
 TASK = ParkourConfig(
     observation=ObservationConfig(noise=False),
-    depth=quiet(DepthConfig(frames=3, stride=2)),
+    depth=DepthConfig(frames=3, stride=2).exact(),
     randomisation=RandomisationConfig(use=False, terrain_variants=1),
     reset=ResetConfig(position=0.0, yaw=0.0, joints=0.0, spread_ages=False),
 )
@@ -42,7 +42,7 @@ def test_the_robot_observes_what_the_policy_was_trained_on() -> None:
     env = make(TASK, [generate("boxes", 0.3, 1)], robot="quadruped", worlds=1)
     observe = Observer(facts(env.layout))
     robot = MujocoRobot(QUADRUPED, env.physics.terrains[0])
-    robot.physics, robot.eye = env.physics, env.camera.caster  # the task's own robot, read as a robot is
+    robot.physics, robot.camera = env.physics, env.camera  # the task's own robot, read as a robot is
     observation = env.reset()
     rng = torch.Generator().manual_seed(0)
     action = torch.zeros(1, 12)

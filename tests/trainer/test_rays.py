@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from trainer import terrain as terrains
-from trainer.rays import CASTERS, caster
+from trainer.rays import CASTERS
 
 LANDS = [terrains.flat(), terrains.generate("wedges", 0.5, 0), terrains.generate("stakes", 0.5, 1)]
 
@@ -17,7 +17,7 @@ def made(name: str):
         pytest.importorskip("warp", reason="the warp caster needs warp-lang")
     if name == "warp_host" and not torch.cuda.is_available():
         pytest.skip("casts on a GPU")
-    return caster(name, LANDS, "cpu")
+    return CASTERS[name](LANDS, "cpu")
 
 
 def image(n: int = 6, side: int = 24) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:

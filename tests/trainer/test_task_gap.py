@@ -19,10 +19,9 @@ from trainer.tasks.parkour import ParkourConfig, ParkourEnv, make
 from trainer.tasks.parkour.build import with_known
 from trainer.tasks.parkour.config import DepthConfig, RandomisationConfig
 from trainer.tasks.parkour.gap import alone, load, patched
-from trainer.tasks.parkour.randomise import Known, informed, limited
-from trainer.tasks.parkour.variants import sizes
+from trainer.tasks.parkour.randomise import Known, informed, limited, sizes
 from trainer.terrain import generate
-from trainer.terrain.shift import shifted
+from trainer.terrain.changed import shifted
 
 
 def cause(effect, joints=None, bodies=None, **parameters):

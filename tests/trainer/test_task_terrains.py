@@ -17,8 +17,9 @@ from trainer.tasks.parkour.config import (
     RandomisationConfig,
     TerminationConfig,
 )
+from trainer.tasks.parkour.randomise import sizes
 from trainer.tasks.parkour.resets import Course
-from trainer.tasks.parkour.variants import scaled, scaled_spec, sizes
+from trainer.terrain.changed import scaled, scaled_spec
 
 # ---------------------------------------------------------------- terrains
 

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import torch
 
 from trainer.deploy.robot import F64, Reading
 from trainer.errors import TrainerError
 from trainer.physics import ENGINES, PhysicsConfig
-from trainer.rays import caster
+from trainer.rays import CASTERS
 from trainer.robots import TrainedRobot
 from trainer.tasks.parkour.commands import GoalCommand
 from trainer.tasks.parkour.config import CommandConfig, DepthConfig
-from trainer.tasks.parkour.depth import rays
+from trainer.tasks.parkour.depth import DepthCamera
 from trainer.tasks.parkour.resets import Course
-from trainer.tasks.rotations import multiply, rotate, rotate_back
+from trainer.tasks.rotations import rotate_back
 from trainer.terrain import Terrain
 
 
@@ -34,10 +32,13 @@ class MujocoRobot:
     def __init__(
         self, robot: TrainedRobot, terrain: Terrain, *, depth: bool = True, far: float = 5.0, seed: int = 0
     ) -> None:
-        self.robot, self.terrain, self.far = robot, terrain, far
+        self.robot, self.terrain = robot, terrain
         self.physics = ENGINES["mujoco"](robot, [terrain], 1, PhysicsConfig(threads=1))
         self.policy_dt = self.physics.policy_dt
-        self.eye = caster("embree", [terrain], "cpu") if depth and robot.camera is not None else None
+        self.camera: DepthCamera | None = None
+        if depth and robot.camera is not None:
+            rays, cpu = CASTERS["embree"]([terrain], "cpu"), torch.device("cpu")
+            self.camera = DepthCamera(robot.camera, DepthConfig(far=far).exact(), rays, 1, cpu)
         ground = terrain.start.centre
         base = torch.tensor([[ground[0], ground[1], ground[2] + robot.standing_height]], dtype=torch.float32)
         if seed:
@@ -96,21 +97,7 @@ class MujocoRobot:
         return command(self.physics.state).observed(steered=True)[0].double().numpy()
 
     def _depth(self) -> F64 | None:
-        mount, s = self.robot.camera, self.physics.state
-        if self.eye is None or mount is None:
+        if self.camera is None:
             return None
-        directions = torch.as_tensor(rays(mount), dtype=torch.float32)
-        quat = multiply(s.camera_quat, torch.as_tensor(mount.quat, dtype=torch.float32)[None])
-        origin = s.camera_pos + rotate(s.camera_quat, torch.as_tensor(mount.pos, dtype=torch.float32)[None])
-        turned = rotate(quat[:, None], directions)
-        reach = self.far / float(directions[:, 0].min())
-        along = self.eye.cast(
-            origin[:, None].expand_as(turned).contiguous(), turned, torch.zeros(1, dtype=torch.long), reach
-        )
-        width, height = mount.crop
-        return (along[0] * directions[:, 0]).view(height, width).double().numpy()
-
-
-def quiet(config: DepthConfig) -> DepthConfig:
-    """The depth camera as `MujocoRobot` has it: on its mount, on time, without noise."""
-    return replace(config, noise=0.0, dropout=0.0, latency=(0, 0), mount_position=0.0, mount_rotation=0.0)
+        depth = self.camera.measure(self.physics.state, torch.zeros(1, dtype=torch.long))
+        return depth.view(self.camera.height, self.camera.width).double().numpy()

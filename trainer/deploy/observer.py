@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from trainer.deploy.robot import Reading
 from trainer.errors import TrainerError
 from trainer.ppo.export import Deployment
-from trainer.tasks.parkour.observations import STEERED
+from trainer.tasks.parkour.observations import STEERED, proprioception
 
 F32 = NDArray[np.float32]
 
@@ -19,16 +19,7 @@ class Observer:
     def __init__(self, facts: Deployment) -> None:
         self.facts = facts
         self.default = np.asarray(facts.default)
-        joints = len(facts.layout.actions)
-        widths = {
-            "base_ang_vel": 3,
-            "gravity": 3,
-            "command": 3,
-            STEERED: 3,
-            "joint_pos": joints,
-            "joint_vel": joints,
-            "last_action": joints,
-        }
+        widths = dict(proprioception(len(facts.layout.actions))) | {STEERED: 3}
         unknown = [name for name, _ in facts.layout.actor if name not in widths]
         uneven = [name for name, width in facts.layout.actor if name in widths and width % widths[name]]
         if unknown or uneven:

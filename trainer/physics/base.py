@@ -16,9 +16,9 @@ from trainer.terrain import Terrain
 ENGINES = Registry(
     "physics engine",
     {
-        "mujoco": "trainer.physics.mujoco:make",
+        "mujoco": "trainer.physics.mujoco:MujocoPhysics",
         "elliptic": "trainer.physics.mujoco:elliptic",
-        "warp": "trainer.physics.warp:make",
+        "warp": "trainer.physics.warp:WarpPhysics",
     },
 )
 """name -> `(robot, terrains, worlds, config: PhysicsConfig) -> Physics`. `elliptic` is another contact model than

@@ -223,11 +223,6 @@ def _put(tensor: Tensor, values: NDArray[Any], worlds: NDArray[np.int_] | None =
     tensor.numpy()[slice(None) if worlds is None else worlds] = values
 
 
-def make(robot: TrainedRobot, terrains: Sequence[Terrain], worlds: int, config: PhysicsConfig) -> MujocoPhysics:
-    """The engine `mujoco` of `trainer.physics.ENGINES`."""
-    return MujocoPhysics(robot, terrains, worlds, config)
-
-
 def elliptic(robot: TrainedRobot, terrains: Sequence[Terrain], worlds: int, config: PhysicsConfig) -> MujocoPhysics:
     """The engine `elliptic`: what a policy makes of another contact model than the one that it knows."""
     other = replace(

@@ -343,8 +343,3 @@ def _joints_to(model: Any, bodies: Sequence[str]) -> np.ndarray:
         chains.append(chain)
     longest = max(map(len, chains))
     return np.array([chain + [-1] * (longest - len(chain)) for chain in chains], np.int32)
-
-
-def make(robot: TrainedRobot, terrains: Sequence[Terrain], worlds: int, config: PhysicsConfig) -> WarpPhysics:
-    """The engine `warp` of `trainer.physics.ENGINES`."""
-    return WarpPhysics(robot, terrains, worlds, config)

@@ -8,9 +8,9 @@ import torch
 from torch import nn
 
 from trainer.errors import TrainerError
-from trainer.ppo import strategies
 from trainer.ppo.config import NetworkConfig, StrategyConfig
 from trainer.ppo.networks import Actor, Critic
+from trainer.ppo.strategies import STRATEGIES
 from trainer.tasks import Observation, ObservationLayout
 
 
@@ -52,7 +52,7 @@ def fine_tune(base: Policy, strategy: str, config: StrategyConfig, seed: int = 0
     """
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        actor = strategies.apply(strategy, base.actor, config)
+        actor = STRATEGIES[strategy](base.actor, config)
     base.critic.normaliser.frozen = True
     return Policy(actor, base.critic, base.layout, base.networks, base.robot, (*base.tuned, (strategy, config)))
 

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Protocol
 
 import torch
 from torch import Tensor
 
 from realsim.core.registry import Registry
-from trainer.terrain import Terrain
 
 CASTERS = Registry(
     "ray caster",
@@ -30,14 +28,16 @@ class RayCaster(Protocol):
         """(N, R) metres along unit directions (N, R, 3) from origins (N, R, 3); `far` where nothing is hit."""
 
 
-def caster(name: str, terrains: Sequence[Terrain], device: str) -> RayCaster:
-    """The caster of that name over these terrains."""
-    return CASTERS[name](terrains, device)
-
-
 def ground_distance(origins: Tensor, directions: Tensor, floor_z: Tensor) -> Tensor:
     """(...,) metres from origins (..., 3) along unit directions (..., 3) down to the plane z = `floor_z` (broadcast);
     infinity for rays that start below it or never come down to it."""
     above, down = origins[..., 2] - floor_z, -directions[..., 2]
     reaches = (down > 0) & (above >= 0)
     return torch.where(reaches, above / torch.where(reaches, down, 1.0), torch.inf)
+
+
+def fall(rays: RayCaster, points: Tensor, terrain_ids: Tensor, far: float) -> Tensor:
+    """(N, R) metres from points (N, R, 3) straight down to the terrain; `far` where nothing is hit."""
+    down = torch.zeros_like(points)
+    down[..., 2] = -1.0
+    return rays.cast(points, down, terrain_ids, far)

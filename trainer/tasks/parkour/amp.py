@@ -9,18 +9,6 @@ from trainer.tasks.parkour.body import Body
 from trainer.tasks.parkour.signals import Signals
 
 
-def layout(joints: int, feet: int) -> tuple[tuple[str, int], ...]:
-    """(term, width) of one pose; a transition is two of them."""
-    return (
-        ("gravity", 3),
-        ("base_lin_vel", 3),
-        ("base_ang_vel", 3),
-        ("joint_pos", joints),
-        ("joint_vel", joints),
-        ("feet", 3 * feet),
-    )
-
-
 def pose(
     gravity: Tensor, lin_vel: Tensor, ang_vel: Tensor, joint_pos: Tensor, joint_vel: Tensor, feet: Tensor
 ) -> Tensor:
@@ -43,8 +31,7 @@ class Transitions:
     """Pairs of successive poses; a reset begins anew, so no pair spans two episodes."""
 
     def __init__(self, worlds: int, joints: int, feet: int, device: torch.device) -> None:
-        width = sum(width for _, width in layout(joints, feet))
-        self.last = torch.zeros(worlds, width, device=device)
+        self.last = torch.zeros(worlds, 9 + 2 * joints + 3 * feet, device=device)
 
     def advance(self, s: Signals, body: Body) -> Tensor:
         """(N, S) from the pose before to this one."""

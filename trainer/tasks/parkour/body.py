@@ -50,18 +50,11 @@ class Body:
             return torch.tensor(value, dtype=torch.long, device=device)
 
         soles = floats(np.stack(robot.soles))
+        vectors = ("default", "action_scale", "kp", "effort", "velocity", "lower", "upper")
         return Body(
-            floats(robot.default),
-            floats(robot.action_scale),
-            floats(robot.kp),
-            floats(robot.effort),
-            floats(robot.velocity),
-            floats(robot.lower),
-            floats(robot.upper),
-            indices(robot.legs),
-            indices(robot.hips),
-            indices(robot.upper_body),
-            soles,
-            -soles[..., 2].mean(-1),
-            robot.standing_height,
+            **{name: floats(getattr(robot, name)) for name in vectors},
+            **{name: indices(getattr(robot, name)) for name in ("legs", "hips", "upper_body")},
+            soles=soles,
+            sole_depth=-soles[..., 2].mean(-1),
+            standing_height=robot.standing_height,
         )

@@ -12,16 +12,15 @@ import torch
 from realsim.core.progress import note
 from trainer.errors import TrainerError
 from trainer.physics import ENGINES, PhysicsConfig
-from trainer.rays import caster as make_caster
+from trainer.rays import CASTERS
 from trainer.robots import TrainedRobot, named
 from trainer.tasks.parkour.config import DepthConfig, ParkourConfig
 from trainer.tasks.parkour.env import ParkourEnv
 from trainer.tasks.parkour.gap import load as load_gap
 from trainer.tasks.parkour.gap import patched
-from trainer.tasks.parkour.randomise import Known, hull, informed, limited
-from trainer.tasks.parkour.variants import scaled, sizes
+from trainer.tasks.parkour.randomise import Known, hull, informed, limited, sizes
 from trainer.terrain import Terrain
-from trainer.terrain.shift import shifted
+from trainer.terrain.changed import scaled, shifted
 
 _LENGTH_M = (0.5, 60.0)
 """Metres between start and goal that are believable."""
@@ -78,9 +77,7 @@ def make(
     config = with_known(config, known, settings)
     scales = sizes(terrains, informed(config.randomisation, known))
     everything = [scaled(t, ratio) for t in terrains for ratio in scales]
-    rays = make_caster(
-        caster or ("warp" if settings.device.startswith("cuda") else "embree"), everything, settings.device
-    )
+    rays = CASTERS[caster or ("warp" if settings.device.startswith("cuda") else "embree")](everything, settings.device)
     return ParkourEnv(
         ENGINES[engine](body, everything, worlds, settings),
         rays,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from math import isfinite
+from typing import Any
 
 from trainer.errors import TrainerError, check_fields
 
@@ -102,6 +103,10 @@ class DepthConfig:
             least={"frames": 1, "stride": 1} | never_negative,
             most={"dropout": 1},
         )
+
+    def exact(self) -> DepthConfig:
+        """The camera on its mount, on time, without noise."""
+        return replace(self, noise=0.0, dropout=0.0, latency=(0, 0), mount_position=0.0, mount_rotation=0.0)
 
 
 @dataclass(frozen=True)
@@ -249,30 +254,11 @@ class RandomisationConfig:
 
     def at_strength(self) -> RandomisationConfig:
         """The same draws as a config of strength 1: ranges of robot, soles and pushes narrowed or widened."""
-        s = self.strength
-        middle = (self.friction[0] + self.friction[1]) / 2
-
-        def about(nominal: float, bounds: Range) -> Range:
-            low, high = (nominal + s * (b - nominal) for b in bounds)
-            return low, high
-
-        return replace(
-            self,
-            strength=1.0,
-            friction=about(middle, self.friction),
-            contact_time=about(0.0, self.contact_time),
-            mass=about(1.0, self.mass),
-            payload=about(0.0, self.payload),
-            com=about(0.0, self.com),
-            kp=about(1.0, self.kp),
-            kd=about(1.0, self.kd),
-            armature=about(1.0, self.armature),
-            joint_friction=about(0.0, self.joint_friction),
-            delay=about(0.0, self.delay),
-            encoder=s * self.encoder,
-            gyro=s * self.gyro,
-            push=s * self.push,
-        )
+        s, nominal = self.strength, {"friction": (self.friction[0] + self.friction[1]) / 2}
+        nominal |= dict.fromkeys(("mass", "kp", "kd", "armature"), 1.0)
+        nominal |= dict.fromkeys(("contact_time", "payload", "com", "joint_friction", "delay"), 0.0)
+        ranges: dict[str, Any] = {n: tuple(v + s * (b - v) for b in getattr(self, n)) for n, v in nominal.items()}
+        return replace(self, strength=1.0, encoder=s * self.encoder, gyro=s * self.gyro, push=s * self.push, **ranges)
 
 
 @dataclass(frozen=True)

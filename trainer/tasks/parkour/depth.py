@@ -78,6 +78,11 @@ class DepthCamera:
 
     def render(self, state: State, terrain_ids: Tensor, ids: Tensor | None, generator: torch.Generator) -> Tensor:
         """(N, h, w) images in 0..1 of all worlds, or (K, h, w) of worlds `ids`."""
+        depth = self._spoil(self.measure(state, terrain_ids, ids), generator)
+        return normalise(depth, self.config).nan_to_num(1.0).view(-1, self.height, self.width)
+
+    def measure(self, state: State, terrain_ids: Tensor, ids: Tensor | None = None) -> Tensor:
+        """(N, h * w) metres along the optical axis of all worlds, or (K, h * w) of worlds `ids`, unspoiled."""
         body_pos, body_quat, pos, quat = state.camera_pos, state.camera_quat, self.pos, self.quat
         if ids is not None:
             body_pos, body_quat, pos, quat = body_pos[ids], body_quat[ids], pos[ids], quat[ids]
@@ -85,8 +90,7 @@ class DepthCamera:
         origin = body_pos + rotate(body_quat, pos)
         direction = rotate(multiply(body_quat, quat)[:, None], self.rays)
         along = self.caster.cast(origin[:, None].expand_as(direction), direction, terrain_ids, self.reach)
-        depth = self._spoil(along * self.rays[:, 0], generator)
-        return normalise(depth, self.config).nan_to_num(1.0).view(-1, self.height, self.width)
+        return along * self.rays[:, 0]
 
     def _spoil(self, depth: Tensor, generator: torch.Generator) -> Tensor:
         c = self.config

@@ -25,12 +25,10 @@ from trainer.tasks.parkour.depth import DepthCamera, DepthWindow
 from trainer.tasks.parkour.draw import Dice, randint
 from trainer.tasks.parkour.floor import RaisedFloor
 from trainer.tasks.parkour.footholds import FootholdProbe
-from trainer.tasks.parkour.line import Line
 from trainer.tasks.parkour.observations import Proprioception, critic_view, layout
-from trainer.tasks.parkour.randomise import Known, Randomiser
+from trainer.tasks.parkour.randomise import Known, Line, Randomiser
 from trainer.tasks.parkour.resets import Course, Stances, poses
-from trainer.tasks.parkour.rewards import Rewards
-from trainer.tasks.parkour.rewards.task import SLOW, WALKING
+from trainer.tasks.parkour.rewards import SLOW, WALKING, Rewards
 from trainer.tasks.parkour.scan import HeightScan
 from trainer.tasks.parkour.signals import PhaseClock, Signals, derive, sole_points
 from trainer.tasks.parkour.symmetry import Mirror

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from trainer.physics import State
-from trainer.rays import RayCaster
+from trainer.rays import RayCaster, fall
 from trainer.tasks.parkour.body import Body
 from trainer.tasks.parkour.signals import Footholds, sole_points
 from trainer.terrain import Terrain
@@ -114,9 +114,6 @@ class FootholdProbe:
         flat = points.reshape(worlds, feet * count, 3)
         above = flat.clone()
         above[..., 2] += _ABOVE
-        down = torch.zeros_like(above)
-        down[..., 2] = -1.0
-        hit = self.caster.cast(above, down, terrain_ids, _FAR)
-        terrain_z = (above[..., 2] - hit).reshape(worlds, feet, count)
+        terrain_z = (above[..., 2] - fall(self.caster, above, terrain_ids, _FAR)).reshape(worlds, feet, count)
         depth = self.edges.depth(flat, terrain_ids).reshape(worlds, feet, count)
         return Footholds(terrain_z, points[..., 2] - terrain_z, depth, speed)

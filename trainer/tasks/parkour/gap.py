@@ -254,22 +254,14 @@ def _armature(interval: Interval, robot: TrainedRobot, j: int) -> Range | None:
     return None if added is None or own <= 0 else (1 + added[0] / own, 1 + added[1] / own)
 
 
-def _offset(interval: Interval, robot: TrainedRobot, j: int) -> Range | None:
-    return interval("offset") or interval("reading_offset")
-
-
-def _ratio(interval: Interval, robot: TrainedRobot, j: int) -> Range | None:
-    return interval("ratio")
-
-
 _JOINT: dict[str, dict[str, Callable[[Interval, TrainedRobot, int], Range | None]]] = {
-    "stiffness_gain": {"kp": _ratio},
-    "damping_gain": {"kd": _ratio},
+    "stiffness_gain": {"kp": lambda interval, robot, j: interval("ratio")},
+    "damping_gain": {"kd": lambda interval, robot, j: interval("ratio")},
     # A weak motor gives a share of the whole servo torque.
-    "motor_gain": {"kp": _ratio, "kd": _ratio},
+    "motor_gain": dict.fromkeys(("kp", "kd"), lambda interval, robot, j: interval("ratio")),
     "armature": {"armature": _armature},
     "coulomb_friction": {"joint_friction": lambda interval, robot, j: interval("friction")},
-    "joint_offset": {"encoder": _offset},
+    "joint_offset": {"encoder": lambda interval, robot, j: interval("offset") or interval("reading_offset")},
 }
 
 _NOT_SIMULATED = {"motor_gain": ("force limit",)}
@@ -281,22 +273,10 @@ _ABOUT: dict[str, tuple[str, Callable[[float, float], float]]] = {
 """Effect that the model has at its value -> (parameter whose interval worlds draw from, an end of it about that)."""
 
 
-def _com(interval: Interval) -> dict[str, Any]:
-    return {"com": _axes(interval, "x", "y", "z")}
-
-
-def _gyro(interval: Interval) -> dict[str, Any]:
-    return {"gyro": _axes(interval, "gyro_x", "gyro_y", "gyro_z")}
-
-
 def _axes(interval: Interval, *names: str) -> tuple[Range, ...] | None:
     """The intervals, nothing where one is absent; None where all are: the cause says nothing about them."""
     found = [interval(name) for name in names]
     return tuple(bounds or (0.0, 0.0) for bounds in found) if any(found) else None
-
-
-def _mount(interval: Interval) -> dict[str, Any]:
-    return {"mount": _axes(interval, "turn_x", "turn_y", "turn_z", "shift_x", "shift_y", "shift_z")}
 
 
 _WHOLE: dict[str, Callable[[Interval], dict[str, Any]]] = {
@@ -305,9 +285,11 @@ _WHOLE: dict[str, Callable[[Interval], dict[str, Any]]] = {
     "ground_friction": lambda interval: {"friction": interval("ratio")},
     "contact_compliance": lambda interval: {"contact_time": interval("time_constant")},
     "payload": lambda interval: {"payload": interval("mass")},
-    "com_offset": _com,
+    "com_offset": lambda interval: {"com": _axes(interval, "x", "y", "z")},
     "terrain_scale": lambda interval: {"terrain_scale": interval("ratio")},
-    "imu_bias": _gyro,
-    "camera_mount": _mount,
+    "imu_bias": lambda interval: {"gyro": _axes(interval, "gyro_x", "gyro_y", "gyro_z")},
+    "camera_mount": lambda interval: {
+        "mount": _axes(interval, "turn_x", "turn_y", "turn_z", "shift_x", "shift_y", "shift_z")
+    },
     "depth_noise": lambda interval: {"depth_noise": interval("ratio")},
 }

@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from trainer.physics import Physics, PhysicsConfig, WorldParams
 from trainer.tasks.parkour.config import RandomisationConfig, Range
 from trainer.tasks.parkour.draw import randint, symmetric, uniform
+from trainer.terrain import Terrain
 
 _G1_KG = 33.3
 """The mass for which the payload range is meant."""
 LONGEST_DELAY = 10
 """Policy steps by which commands can be late: 0.2 s, the longest delay that `realsim diagnose` considers."""
+
+_MANY = 13
+"""Terrains from which on one size each is enough: a generated grid is random already."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +74,34 @@ class Drawn:
     """(K, 3) rad/s, offset of the angular velocity."""
     late: Tensor
     """(K,) policy steps that commands wait before they reach the engine, which may delay them by one more."""
+
+
+class Line:
+    """Commands that wait for whole policy steps, more than an engine itself delays them: the last targets of N worlds,
+    each of which is behind by its own number of steps.
+
+    Args:
+        latest: policy steps that a world may be behind.
+    """
+
+    def __init__(self, latest: int, worlds: int, joints: int, device: torch.device) -> None:
+        self._ring = torch.zeros(latest + 1, worlds, joints, device=device)
+        self._late = torch.zeros(worlds, dtype=torch.long, device=device)
+        self._worlds = torch.arange(worlds, device=device)
+
+    def __call__(self, targets: Tensor) -> Tensor:
+        """Take new targets (N, J) in rad; those that arrive now (N, J)."""
+        self._ring.copy_(torch.cat([targets[None], self._ring[:-1]]))
+        return self._ring[self._late, self._worlds]
+
+    def reset(self, ids: Tensor, pose: Tensor, late: Tensor) -> None:
+        """Worlds `ids` (K,) begin anew in the pose (K, J) in rad, which they hold until commands arrive.
+
+        Args:
+            late: (K,) policy steps.
+        """
+        self._ring[:, ids] = pose
+        self._late[ids] = late
 
 
 class Randomiser:
@@ -208,3 +242,9 @@ def informed(config: RandomisationConfig, known: Known) -> RandomisationConfig:
     """The config with the terrain scale of the diagnosis, which has to be known before worlds are made."""
     scale = hull(known, "terrain_scale")
     return config if scale is None else replace(config, terrain_scale=scale)
+
+
+def sizes(terrains: Sequence[Terrain], config: RandomisationConfig) -> list[float]:
+    """The scales in which every terrain is made, the true one in the middle."""
+    count = config.terrain_variants or (5 if len(terrains) <= _MANY else 1)
+    return [1.0] if count == 1 or not config.use else np.linspace(*config.terrain_scale, count).tolist()

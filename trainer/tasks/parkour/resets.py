@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from trainer.rays import RayCaster
+from trainer.rays import RayCaster, fall
 from trainer.tasks.parkour.body import Body
 from trainer.tasks.parkour.config import ResetConfig
 from trainer.tasks.parkour.draw import rand, symmetric
@@ -110,10 +110,8 @@ class Stances:
         points = torch.stack([c * flat[:, 0] - s * flat[:, 1], s * flat[:, 0] + c * flat[:, 1]], -1) + xy[:, :, None]
         above = torch.full_like(points[..., :1], _HIGH)
         origins = torch.cat([points, above], -1).reshape(terrains, -1, 3)
-        down = torch.zeros_like(origins)
-        down[..., 2] = -1.0
         ids = torch.arange(terrains, device=device)
-        z = _HIGH - caster.cast(origins, down, ids, 2 * _HIGH + 2.0).reshape(terrains, tries, *soles.shape[:2])
+        z = _HIGH - fall(caster, origins, ids, 2 * _HIGH + 2.0).reshape(terrains, tries, *soles.shape[:2])
         highest = z.amax(-1)
         level = (highest - z.amin(-1)).amax(-1) < _UNEVEN
         together = highest.amax(-1) - highest.amin(-1) < _STEP

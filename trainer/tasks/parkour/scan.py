@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from trainer.physics import State
-from trainer.rays import RayCaster
+from trainer.rays import RayCaster, fall
 from trainer.tasks.parkour.observations import SCAN
 from trainer.tasks.rotations import heading_of
 
@@ -34,11 +34,8 @@ class HeightScan:
         x, y = self.points.unbind(-1)
         level = torch.stack([c[:, None] * x - s[:, None] * y, s[:, None] * x + c[:, None] * y], -1)
         origins = torch.cat([level, torch.zeros_like(level[..., :1])], -1) + state.base_pos[:, None]
-        down = torch.zeros_like(origins)
-        down[..., 2] = -1.0
-        reach = self.standing_height + LARGEST
-        fall = self.caster.cast(origins, down, terrain_ids, reach)
-        return (self.standing_height - fall).clamp(-LARGEST, LARGEST)
+        below = fall(self.caster, origins, terrain_ids, self.standing_height + LARGEST)
+        return (self.standing_height - below).clamp(-LARGEST, LARGEST)
 
 
 def mirrored() -> tuple[int, ...]:

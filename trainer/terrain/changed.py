@@ -1,20 +1,60 @@
-"""Pieces of terrain that stand higher or lower than in the scene, as a diagnosis found them."""
+"""The same terrain changed as a diagnosis or the doubt of a scale has it: larger, or with pieces at other heights."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import mujoco
 import numpy as np
 
 from realsim.core.geometry import make_T
 from trainer.physics.world import SLOT
-from trainer.terrain.base import Terrain
+from trainer.terrain.base import Box, Platform, Terrain
 from trainer.terrain.shapes import mesh
 
 _NEAR_M = 0.03
 """Points of the scan this near to a piece's box belong to it."""
+
+
+def scaled(terrain: Terrain, ratio: float) -> Terrain:
+    """The same course, larger by `ratio` about the origin."""
+    if ratio == 1.0:
+        return terrain
+    return replace(
+        terrain,
+        boxes=tuple(Box(b.size * ratio, _scaled_pose(b.T, ratio)) for b in terrain.boxes),
+        vertices=terrain.vertices * ratio,
+        start=_scaled_platform(terrain.start, ratio),
+        goal=_scaled_platform(terrain.goal, ratio),
+        floor_z=terrain.floor_z * ratio,
+        contact=None if terrain.contact is None else scaled_spec(terrain.contact, ratio),
+    )
+
+
+def scaled_spec(spec: Any, ratio: float) -> Any:
+    """A copy of a `mujoco.MjSpec` whose world geoms (primitives, meshes, height fields) are larger by `ratio`."""
+    copy = spec.copy()
+    for geom in copy.worldbody.geoms:
+        geom.pos = np.asarray(geom.pos) * ratio
+        if geom.type not in (mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_HFIELD):
+            geom.size = np.asarray(geom.size) * ratio
+    for part in copy.meshes:
+        part.scale = np.asarray(part.scale) * ratio
+    for field in copy.hfields:
+        field.size = np.asarray(field.size) * ratio
+    return copy
+
+
+def _scaled_pose(T: np.ndarray, ratio: float) -> np.ndarray:
+    moved = T.copy()
+    moved[:3, 3] *= ratio
+    return moved
+
+
+def _scaled_platform(platform: Platform, ratio: float) -> Platform:
+    return replace(platform, centre=platform.centre * ratio, size=platform.size * ratio)
 
 
 def shifted(
