@@ -16,9 +16,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from realsim.core.files import to_json, write_text
 from realsim.core.progress import steps
-from trainer.config import EvaluationConfig
+from trainer.config import Evaluation, EvaluationConfig, Result
 from trainer.errors import TrainerError
 from trainer.physics import PhysicsConfig
 from trainer.robots import TrainedRobot
@@ -48,67 +47,6 @@ class Trials:
     """(T,)."""
     covered: Tensor
     """(T,) share of the way from start to goal."""
-
-
-@dataclass(frozen=True)
-class Result:
-    """One terrain."""
-
-    terrain: str
-    geometry: str
-    """`trained` for the contact geometry that is trained on, `finer` for one that is not."""
-    trials: int
-    successes: int
-    interval: tuple[float, float]
-    """Wilson's 95 percent interval of the success rate."""
-    reasons: dict[str, int]
-    """Cause -> failed trials; `timeout` is one."""
-    where: tuple[dict[str, Any], ...]
-    """Bins along the course with failures: `from_m`, `to_m` (from the start platform's centre) and count by cause."""
-    failures: tuple[dict[str, Any], ...]
-    """Each failed trial: number, cause, position (m, terrain frame), seconds."""
-    seconds: float | None
-    """Mean duration of successful trials; None without any."""
-    covered: float
-    """Mean share of the way."""
-    overflowed: int
-    """Contacts dropped because a buffer was full; more than 0 makes the figures doubtful."""
-
-    @property
-    def rate(self) -> float:
-        return self.successes / self.trials
-
-
-@dataclass(frozen=True)
-class Evaluation:
-    """All terrains."""
-
-    results: tuple[Result, ...]
-    config: EvaluationConfig
-    warnings: tuple[str, ...] = ()
-    robot: str = ""
-    engine: str = ""
-
-    @property
-    def success(self) -> float:
-        """Success rate over the terrains trained on, each trial counting once."""
-        own = [r for r in self.results if r.geometry == "trained"]
-        return sum(r.successes for r in own) / sum(r.trials for r in own)
-
-    def as_dict(self) -> dict[str, Any]:
-        return {
-            "format": "realsim.evaluation/1",
-            "success": self.success,
-            "robot": self.robot,
-            "engine": self.engine,
-            "config": vars(self.config),
-            "warnings": list(self.warnings),
-            "terrains": [vars(r) | {"rate": r.rate} for r in self.results],
-        }
-
-    def write(self, path: str | Path) -> None:
-        """As JSON, whole or not at all."""
-        write_text(Path(path), to_json(self.as_dict()))
 
 
 @dataclass(frozen=True)
@@ -198,8 +136,7 @@ def trial_config(task: ParkourConfig, config: EvaluationConfig) -> ParkourConfig
     )
     if config.randomise:
         return task
-    quiet = replace(task.depth, noise=0.0, dropout=0.0, latency=(0, 0), mount_position=0.0, mount_rotation=0.0)
-    return replace(task, observation=replace(task.observation, noise=False), depth=quiet)
+    return replace(task, observation=replace(task.observation, noise=False), depth=task.depth.exact())
 
 
 @torch.inference_mode()

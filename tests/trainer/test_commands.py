@@ -200,7 +200,7 @@ def test_task_files(tmp_path: Path) -> None:
         ('{"comand": {}}', "unknown task field"),
         ('{"depth": {"use": "no"}}', "depth.use has a value of the wrong kind"),
         ("[]", "must be an object"),
-        ('{"reward": {"weights": {"alive": "much"}}}', "weights must be finite numbers"),
+        ('{"reward": {"weights": {"alive": "much"}}}', "reward.weights.alive has a value of the wrong kind"),
     ):
         path.write_text(text)
         with pytest.raises(RealsimError, match=message):

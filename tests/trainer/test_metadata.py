@@ -25,11 +25,11 @@ PATH = Path("policy.onnx")
 
 
 def test_what_export_writes_is_read_back() -> None:
-    layout, rest = read_metadata(json.dumps(GOOD), VERSION, PATH)
-    assert layout == LAYOUT
-    assert {"version": VERSION, **asdict(Deployment(layout, **rest))} == GOOD
+    found = read_metadata(json.dumps(GOOD), VERSION, PATH)
+    assert found.layout == LAYOUT
+    assert {"version": VERSION, **asdict(found)} == GOOD
     old = {k: v for k, v in GOOD.items() if k not in ("action_limit", "tuned")}
-    assert read_metadata(json.dumps(old), VERSION, PATH)[1]["action_limit"] is None
+    assert read_metadata(json.dumps(old), VERSION, PATH).action_limit is None
 
 
 BAD: list[tuple[str, Any]] = [

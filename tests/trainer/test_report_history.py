@@ -23,7 +23,7 @@ def test_a_run_is_what_was_written(tmp_path: Path) -> None:
     assert len(run) == 40
     assert run.over["iterations"].tolist() == list(range(1, 41))
     assert run.over["minutes"][-1] == pytest.approx(40 * 0.75 / 60)
-    assert "samples" not in run.over  # there is no policy.pt, and the rows do not say
+    assert "samples" not in run.over  # the rows do not say
     assert run.on_the_way[:, 0].tolist() == [0, 10, 20, 30, 40]
     assert run.evaluated_over("minutes") == pytest.approx(run.on_the_way[:, 0] * 0.75 / 60)
     value = run.column("env/success")
@@ -145,9 +145,9 @@ def test_what_lies_beside_the_history(tmp_path: Path) -> None:
     )
     run = read_run(folder, "run")
     assert [e.title for e in run.evaluations] == ["before", "evaluation_a"]
-    first = run.evaluations[0]
+    first = run.evaluations[0].result
     assert (first.trials, first.successes, sum(first.reasons.values())) == (30, 20, 10)
-    assert sum(sum(counts.values()) for _, _, counts in first.where) == 10
+    assert sum(sum(counts.values()) for _, _, counts in first.bins) == 10
     assert (run.robot, run.target) == ("g1", 0.9)
     said = " ".join(run.notes)
     assert all(

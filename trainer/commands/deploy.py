@@ -10,7 +10,7 @@ import tyro
 
 from realsim.cli.commands import CommandResult
 from realsim.core.progress import steps
-from trainer.deploy.config import DeployConfig
+from trainer.config import DeployConfig
 from trainer.errors import TrainerError
 from trainer.robots import TrainedRobot, named
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
 
@@ -48,6 +48,7 @@ def evaluate(
     from trainer.commands.task_file import load_task
     from trainer.evaluate import evaluate as run_trials
     from trainer.ppo.distributed import pick_device
+    from trainer.tasks.parkour.gap import alone
 
     refuse_file(out, overwrite)
     if each and diagnosis is None:
@@ -61,7 +62,8 @@ def evaluate(
     found = run_trials(loaded.to(place).act, scene.terrains, config, setting, finer=others)
     data = found.as_dict()
     lines = [*common.trial_lines("success", found)]
-    for title, single in _singles(diagnosis).items() if each and diagnosis is not None else ():
+    singles = {"no cause": None, **alone(diagnosis)} if each and diagnosis is not None else {}
+    for title, single in singles.items():
         with TemporaryDirectory() as folder:
             file = None if single is None else Path(folder) / "diagnosis.json"
             if file is not None:
@@ -71,14 +73,7 @@ def evaluate(
         lines += [title, *common.trial_lines("  alone", apart)]
     write_text(out, to_json(data))
     for r in found.results:
-        for place_ in r.where:
-            causes = ", ".join(f"{k} {v}" for k, v in place_.items() if k not in ("from_m", "to_m"))
-            lines.append(f"{'  failed at':<14} {r.terrain} {place_['from_m']:.2f} to {place_['to_m']:.2f} m: {causes}")
+        for low, high, counts in r.bins:
+            causes = ", ".join(f"{k} {v}" for k, v in counts.items())
+            lines.append(f"{'  failed at':<14} {r.terrain} {low:.2f} to {high:.2f} m: {causes}")
     return CommandResult("\n".join([*lines, f"figures        {out}"]), data)
-
-
-def _singles(diagnosis: Path) -> dict[str, dict[str, Any] | None]:
-    """No cause, and each alone."""
-    from trainer.tasks.parkour.gap import alone
-
-    return {"no cause": None, **alone(diagnosis)}

@@ -5,14 +5,15 @@ from __future__ import annotations
 import io
 import pickle
 from collections.abc import Mapping
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import torch
 
 from realsim.core.files import archive_damage, check_size, write_bytes
 from trainer.errors import TrainerError
+from trainer.fields import filled
 from trainer.ppo import policy as policies
 from trainer.ppo.config import NetworkConfig, StrategyConfig
 from trainer.ppo.policy import Policy
@@ -20,7 +21,6 @@ from trainer.tasks import ObservationLayout
 
 FORMAT, VERSION = "realsim-policy", 1
 MAX_BYTES = 2 * 2**30
-T = TypeVar("T")
 
 
 def save(path: Path, policy: Policy, training: Mapping[str, Any] | None = None, latest: Policy | None = None) -> None:
@@ -60,12 +60,12 @@ def load(path: Path, device: str | torch.device = "cpu", latest: bool = False) -
     """
     data = read(path)
     try:
-        layout = _layout(data["layout"])
-        networks = _config(NetworkConfig, data["networks"])
+        layout = filled(ObservationLayout, data["layout"], "field of the layout", path)
+        networks = filled(NetworkConfig, data["networks"], "size of the networks", path)
         policy = policies.new(layout, networks, str(data["robot"]), 0)
         weights = (latest and data.get("latest")) or data
         for name, config in weights["tuned"]:
-            policy = policies.fine_tune(policy, str(name), _config(StrategyConfig, config))
+            policy = policies.fine_tune(policy, str(name), filled(StrategyConfig, config, "option", path))
         policy.actor.load_state_dict(weights["actor"])
         policy.critic.load_state_dict(weights["critic"])
     except (KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:
@@ -150,27 +150,6 @@ def _refuse_what_is_not_a_number(path: Path, policy: Policy) -> None:
                     found=f"{part}.{name}: {int((~value.isfinite()).sum())} of {value.numel()} are not",
                     hint="its training diverged; use a checkpoint before it",
                 )
-
-
-def _layout(data: Mapping[str, Any]) -> ObservationLayout:
-    depth = data["depth"]
-    names = [*(name for part in ("actor", "critic") for name, _ in data[part]), *data["actions"]]
-    if not all(isinstance(name, str) and name for name in names):
-        raise TypeError("the layout names terms and joints by text")
-    return ObservationLayout(
-        actor=tuple((name, int(width)) for name, width in data["actor"]),
-        critic=tuple((name, int(width)) for name, width in data["critic"]),
-        depth=None if depth is None else (int(depth[0]), int(depth[1]), int(depth[2])),
-        actions=tuple(data["actions"]),
-        depth_stride=int(data["depth_stride"]),
-    )
-
-
-def _config(kind: type[T], data: Mapping[str, Any]) -> T:
-    known = {f.name for f in fields(kind)}  # type: ignore[arg-type]
-    if set(data) != known:
-        raise KeyError(f"{kind.__name__} has {sorted(known)}, the file {sorted(data)}")
-    return kind(**{k: tuple(v) if isinstance(v, list) else v for k, v in data.items()})
 
 
 def _line(error: BaseException) -> str:

@@ -8,7 +8,7 @@ import logging
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from realsim.core.files import write_bytes
 from realsim.core.onnx_file import open_network, open_session
 from trainer.errors import TrainerError
 from trainer.ppo.config import NetworkConfig
-from trainer.ppo.metadata import check_graph, check_network, read_metadata
+from trainer.ppo.metadata import Deployment, check_graph, check_network, read_metadata
 from trainer.ppo.networks import Critic
 from trainer.ppo.policy import Policy
 from trainer.robots import TrainedRobot
@@ -30,31 +30,6 @@ KEY, VERSION = "realsim", 1
 EXPORTED = "`realsim finetune` and `realsim pretrain` write policy.onnx beside policy.pt"
 TOLERANCE = 1e-5
 """Largest difference between torch and the runtime that an export may have, of actions of order one."""
-
-
-@dataclass(frozen=True)
-class Deployment:
-    """Content of the metadata: how to make the inputs, and how to use the output."""
-
-    layout: ObservationLayout
-    robot: str
-    policy_dt: float
-    """Seconds between two actions."""
-    default: tuple[float, ...]
-    """(J,) rad: target = default + action_scale * action."""
-    action_scale: tuple[float, ...]
-    kp: tuple[float, ...]
-    """(J,) N m/rad."""
-    kd: tuple[float, ...]
-    """(J,) N m s/rad."""
-    depth_near: float = 0.0
-    """Metres along the optical axis that become 0."""
-    depth_far: float = 0.0
-    """Metres that become 1; no measurement is 1 too."""
-    tuned: tuple[str, ...] = ()
-    """Strategies by which it was fine-tuned."""
-    action_limit: float | None = None
-    """Magnitude at which actions are clipped, in the next observation too; None in files of before it was kept."""
 
 
 def deployment(
@@ -135,10 +110,10 @@ def load(path: Path) -> tuple[Any, Deployment]:
             found=f"metadata {sorted(meta)}",
             hint=f"{EXPORTED}; those of mjlab, Isaac Lab and Unitree: realsim diagnose LOG --policy {path}",
         )
-    layout, rest = read_metadata(meta[KEY], VERSION, path)
-    check_graph(runtime, layout, path)
-    check_network(runtime, layout, path)
-    return runtime, Deployment(layout, **rest)
+    facts = read_metadata(meta[KEY], VERSION, path)
+    check_graph(runtime, facts.layout, path)
+    check_network(runtime, facts.layout, path)
+    return runtime, facts
 
 
 class _Runtime(torch.nn.Module):

@@ -3,88 +3,86 @@
 from __future__ import annotations
 
 import json
-import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from realsim.core.errors import did_you_mean
 from trainer.errors import TrainerError
+from trainer.fields import brief, filled
 from trainer.tasks import ObservationLayout
 
 PER_JOINT = ("default", "action_scale", "kp", "kd")
-NUMBERS = ("policy_dt", "depth_near", "depth_far", "action_limit")
-OPTIONAL = {"depth_near": 0.0, "depth_far": 0.0, "tuned": (), "action_limit": None}
-LAYOUT = ("actor", "critic", "depth", "actions", "depth_stride")
 LARGEST = 1_000_000
 """Of a width or a size of an image."""
 
 
-def read_metadata(text: str, version: int, path: Path) -> tuple[ObservationLayout, dict[str, Any]]:
-    """(layout, the other fields of `Deployment`) of the JSON in a policy's metadata.
+@dataclass(frozen=True)
+class Deployment:
+    """Content of the metadata: how to make the inputs, and how to use the output."""
+
+    layout: ObservationLayout
+    robot: str
+    policy_dt: float
+    """Seconds between two actions."""
+    default: tuple[float, ...]
+    """(J,) rad: target = default + action_scale * action."""
+    action_scale: tuple[float, ...]
+    kp: tuple[float, ...]
+    """(J,) N m/rad."""
+    kd: tuple[float, ...]
+    """(J,) N m s/rad."""
+    depth_near: float = 0.0
+    """Metres along the optical axis that become 0."""
+    depth_far: float = 0.0
+    """Metres that become 1; no measurement is 1 too."""
+    tuned: tuple[str, ...] = ()
+    """Strategies by which it was fine-tuned."""
+    action_limit: float | None = None
+    """Magnitude at which actions are clipped, in the next observation too; None in files of before it was kept."""
+
+
+def read_metadata(text: str, version: int, path: Path) -> Deployment:
+    """The JSON in a policy's metadata.
 
     Raises:
         TrainerError: broken JSON, another version, a field that is missing, unknown, or of the wrong type or length.
     """
-
-    def refuse(what: str, expected: str, found: Any, hint: str | None = None) -> TrainerError:
-        return TrainerError(
-            f"the policy's metadata are damaged: {what}", file=path, expected=expected, found=_short(found), hint=hint
-        )
-
+    what = "field of the policy's metadata"
     try:
         facts = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise refuse("they are no JSON", "what `realsim finetune` writes", error) from error
-    if not isinstance(facts, dict):
-        raise refuse("they are no object", "a JSON object", facts)
-    if facts.get("version") != version:
+        expected = "JSON, as `realsim finetune` writes it"
         raise TrainerError(
-            "the ONNX policy was written by another version",
-            file=path,
-            expected=f"version {version}",
-            found=_short(facts.get("version")),
-        )
-    known = ("version", "layout", "robot", *PER_JOINT, *NUMBERS, "tuned")
-    for name in facts:
-        if name not in known:
-            raise refuse(
-                f"unknown field {_short(name)}", f"some of {', '.join(known)}", name, did_you_mean(name, known)
-            )
-    missing = [name for name in known if name not in facts and name not in OPTIONAL]
-    if missing:
-        raise refuse("fields are missing", ", ".join(missing), ", ".join(facts))
-    layout = _layout(facts["layout"], refuse)
-    joints = len(layout.actions)
-    rest: dict[str, Any] = {}
-    if not (isinstance(facts["robot"], str) and facts["robot"]):
-        raise refuse("robot", "a name", facts["robot"])
-    rest["robot"] = facts["robot"]
-    for name in PER_JOINT:
-        values = facts[name]
-        if not (isinstance(values, list) and len(values) == joints and all(map(_is_number, values))):
-            raise refuse(name, f"{joints} numbers, one a joint", values)
-        if name in ("kp", "kd") and min(values) < 0:
-            raise refuse(name, "numbers that are not negative", values)
-        rest[name] = tuple(map(float, values))
-    for name in NUMBERS:
-        value = facts.get(name, OPTIONAL.get(name))
-        if value is None and name == "action_limit":
-            rest[name] = None
-            continue
-        if not _is_number(value) or value < 0 or (name in ("policy_dt", "action_limit") and value == 0):
-            raise refuse(name, "a positive number", value)
-        rest[name] = float(value)
-    if not 1e-4 <= rest["policy_dt"] <= 1:
-        raise refuse("policy_dt", "0.0001 to 1 s", rest["policy_dt"])
-    if layout.depth is not None and not rest["depth_near"] < rest["depth_far"]:
-        raise refuse("depth_near, depth_far", "near < far, metres", (rest["depth_near"], rest["depth_far"]))
-    tuned = facts.get("tuned", [])
-    if not (isinstance(tuned, list) and all(isinstance(t, str) for t in tuned)):
-        raise refuse("tuned", "names of strategies", tuned)
-    rest["tuned"] = tuple(tuned)
-    return layout, rest
+            "the policy's metadata are damaged", file=path, expected=expected, found=brief(error)
+        ) from error
+    if isinstance(facts, dict) and (found := facts.pop("version", None)) != version:
+        message = "the ONNX policy was written by another version"
+        raise TrainerError(message, file=path, expected=f"version {version}", found=brief(found))
+    facts = filled(Deployment, facts, what, path)
+    layout, joints = facts.layout, len(facts.layout.actions)
+    near, far = facts.depth_near, facts.depth_far
+    rules = [
+        ("robot", facts.robot != "", "a name"),
+        ("policy_dt", 1e-4 <= facts.policy_dt <= 1, "0.0001 to 1 s"),
+        ("action_limit", facts.action_limit is None or facts.action_limit > 0, "a positive number"),
+        ("depth_near, depth_far", 0 <= near <= far and (layout.depth is None or near < far), "near < far, metres"),
+        ("layout.actions", 0 < joints == len(set(layout.actions)), "names of joints, every one once"),
+        ("layout.depth", all(0 < size <= LARGEST for size in layout.depth or ()), "frames, height and width"),
+        ("layout.depth_stride", 0 <= layout.depth_stride <= LARGEST, "a whole number"),
+    ]
+    rules += [(name, len(getattr(facts, name)) == joints, f"{joints} numbers, one a joint") for name in PER_JOINT]
+    rules += [
+        (name, min(getattr(facts, name)) >= 0, "numbers that are not negative") for name in ("kp", "kd") if joints
+    ]
+    for name, terms in (("layout.actor", layout.actor), ("layout.critic", layout.critic)):
+        right = terms and all(0 < w <= LARGEST for _, w in terms) and len({n for n, _ in terms}) == len(terms)
+        rules.append((name, bool(right), "pairs of a term's name and its width, every term once"))
+    for name, right, expected in rules:
+        if not right:
+            raise TrainerError(f"the policy's metadata are damaged: {name}", file=path, expected=expected)
+    return facts
 
 
 def check_graph(runtime: Any, layout: ObservationLayout, path: Path) -> None:
@@ -115,7 +113,7 @@ def check_graph(runtime: Any, layout: ObservationLayout, path: Path) -> None:
                 else "the network's output is not that of its metadata",
                 file=path,
                 expected=", ".join(f"{name} (any, {', '.join(map(str, shape))}) float" for name, shape in want.items()),
-                found=_short(", ".join(f"{name} {shape} {kind}" for name, (kind, shape) in found.items())),
+                found=brief(", ".join(f"{name} {shape} {kind}" for name, (kind, shape) in found.items())),
                 hint="export the policy again",
             )
 
@@ -145,53 +143,8 @@ def check_network(runtime: Any, layout: ObservationLayout, path: Path | None = N
         raise TrainerError(message, file=path, expected=expected, found=f"{shape}", hint="export it again")
 
 
-def _layout(raw: Any, refuse: Any) -> ObservationLayout:
-    if not isinstance(raw, dict) or set(raw) - set(LAYOUT) or set(LAYOUT) - set(raw):
-        raise refuse("layout", f"an object with {', '.join(LAYOUT)}", list(raw) if isinstance(raw, dict) else raw)
-    terms = {}
-    for name in ("actor", "critic"):
-        rows = raw[name]
-        if not (isinstance(rows, list) and rows and all(map(_is_term, rows))):
-            raise refuse(f"layout.{name}", "pairs of a term's name and its width", rows)
-        terms[name] = tuple((str(term), int(width)) for term, width in rows)
-        if len({term for term, _ in terms[name]}) < len(rows):
-            raise refuse(f"layout.{name}", "every term once", rows)
-    actions, depth, stride = raw["actions"], raw["depth"], raw["depth_stride"]
-    named = isinstance(actions, list) and actions and all(isinstance(a, str) and a for a in actions)
-    if not named or len(set(actions)) < len(actions):
-        raise refuse("layout.actions", "names of joints, every one once", actions)
-    if depth is not None and not (isinstance(depth, list) and len(depth) == 3 and all(map(_is_size, depth))):
-        raise refuse("layout.depth", "frames, height and width, or null", depth)
-    if not (stride == 0 or _is_size(stride)) or isinstance(stride, bool):
-        raise refuse("layout.depth_stride", "a whole number", stride)
-    return ObservationLayout(
-        terms["actor"],
-        terms["critic"],
-        None if depth is None else (depth[0], depth[1], depth[2]),
-        tuple(actions),
-        stride,
-    )
-
-
 def _fits(shape: list[Any], wanted: tuple[int, ...]) -> bool:
     """A dimension without a fixed size is a name, or None; the batch must take one."""
     if len(shape) != len(wanted) + 1 or (isinstance(shape[0], int) and shape[0] != 1):
         return False
     return all(not isinstance(have, int) or have == want for have, want in zip(shape[1:], wanted, strict=True))
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < 1e9 and math.isfinite(value)
-
-
-def _is_size(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and 0 < value <= LARGEST
-
-
-def _is_term(row: Any) -> bool:
-    return isinstance(row, list) and len(row) == 2 and isinstance(row[0], str) and _is_size(row[1])
-
-
-def _short(value: Any) -> str:
-    text = str(value)
-    return text if len(text) <= 120 else text[:120] + "..."

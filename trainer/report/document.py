@@ -30,10 +30,10 @@ def training_page(runs: Sequence[Run], extra: Sequence[str] = ()) -> str:
         endings.course_card(shown),
         *extra,
         figures.card("How episodes end", [endings.endings(runs)], shown, more=endings.by_family(shown)),
-        figures.card("Learning", figures.learning(runs), shown),
+        figures.card("Learning", figures.learning(), shown),
         figures.card("Exploration noise (standard deviation of the actions)", figures.noise(runs), shown),
         _rewards(shown),
-        _physics(shown),
+        figures.card("Physics", figures.physics(), shown),
         figures.card("Time", figures.clock(runs), shown),
         _rest(shown),
         page.card("Notes", page.bullets(notes), wide=True),
@@ -117,14 +117,6 @@ def _rewards(shown: Shown) -> str:
     if not terms and not zero:
         more = '<p class="note absent">Not logged.</p>'
     return figures.card("Reward terms", terms[:_FIRST_TERMS], shown, note, more=more)
-
-
-def _physics(shown: Shown) -> str:
-    note = ""
-    unclear = [r.name for r in shown.runs if r.column("env/physics/solver_limited") is None]
-    if unclear and any(r.column("env/physics/overflowed") is not None for r in shown.runs):
-        note = f"{'This run' if shown.one else ', '.join(unclear)}: the dropped contacts may be limits of the solver."
-    return figures.card("Physics", figures.physics(), shown, note)
 
 
 def _rest(shown: Shown) -> str:

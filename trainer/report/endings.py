@@ -89,7 +89,7 @@ def course_card(shown: Shown) -> str:
     along = []
     for terrain in dict.fromkeys(e.terrain for _, e in evaluated):
         along += _along([(name, e) for name, e in evaluated if e.terrain == terrain])
-    causes = _ordered(c for _, e in evaluated for c in e.reasons)
+    causes = _ordered(c for _, e in evaluated for c in e.result.reasons)
     return page.card(title, multiples(along) + _legend(causes), note, wide=True)
 
 
@@ -99,18 +99,13 @@ def evaluation_table(shown: Shown) -> str:
     rows = []
     for run in shown.runs:
         for e in run.evaluations:
-            low, high = (format_value(v, "share") for v in e.interval)
-            causes = ", ".join(f"{cause} {count}" for cause, count in e.reasons.items()) or "–"
-            causes += f"; {e.overflowed} contacts dropped or limits reached" if e.overflowed else ""
-            seconds = "–" if e.seconds is None else f"{e.seconds:.1f}"
-            figures = [
-                format_value(e.rate, "share"),
-                f"{low} to {high}",
-                str(e.trials),
-                format_value(e.covered, "share"),
-                seconds,
-                causes,
-            ]
+            r = e.result
+            low, high = (format_value(v, "share") for v in r.interval)
+            causes = ", ".join(f"{cause} {count}" for cause, count in r.reasons.items()) or "–"
+            causes += f"; {r.overflowed} contacts dropped" if r.overflowed else ""
+            seconds = "–" if r.seconds is None else f"{r.seconds:.1f}"
+            rate, covered = (format_value(v, "share") for v in (r.rate, r.covered))
+            figures = [rate, f"{low} to {high}", str(r.trials), covered, seconds, causes]
             rows.append([run.name, e.title, e.terrain, *figures])
     drop = 1 if shown.one else 0
     table = page.table(head[drop:], [r[drop:] for r in rows])
@@ -118,25 +113,24 @@ def evaluation_table(shown: Shown) -> str:
 
 
 def _along(group: Sequence[tuple[str, Evaluated]]) -> list[str]:
-    bins = [w for _, e in group for w in e.where]
-    if not bins:
-        return [f"<h4>{page.esc(f'{e.terrain}, {name}: no failure in {e.trials} trials')}</h4>" for name, e in group]
-    x = (min(0.0, *(w[0] for w in bins)), max(w[1] for w in bins))
-    top = max(sum(w[2].values()) / e.trials for _, e in group for w in e.where)
+    each = [(name, e.terrain, e.result, e.result.bins) for name, e in group]
+    if not any(bins for *_, bins in each):
+        return [f"<h4>{page.esc(f'{on}, {name}: no failure in {r.trials} trials')}</h4>" for name, on, r, _ in each]
+    x = (min(0.0, *(w[0] for *_, bins in each for w in bins)), max(w[1] for *_, bins in each for w in bins))
+    top = max(sum(w[2].values()) / r.trials for _, _, r, bins in each for w in bins)
     steps = [(v, f"{svg.number(100 * v)} %") for v in svg.ticks(0, 1.1 * top, 4)]
     pictures = []
-    for name, e in group:
+    for name, on, r, bins in each:
         axes = svg.Axes(svg.padded(x, 0.02), (0, 1.1 * top), width=WIDTH, height=150, y_ticks=steps, x_label="along, m")
-        for low, high, counts in e.where:
+        for low, high, counts in bins:
             at = 0.0
             for cause in _ordered(counts):
-                share = counts[cause] / e.trials
-                _rectangle(
-                    axes, (low, high), (at, at + share), cause, f"{low:g} to {high:g} m: {cause} {counts[cause]}"
-                )
+                share = counts[cause] / r.trials
+                text = f"{low:g} to {high:g} m: {cause} {counts[cause]}"
+                _rectangle(axes, (low, high), (at, at + share), cause, text)
                 at += share
-        heading = f"{e.terrain}, {name}: {format_value(e.rate, 'share')} of {e.trials} succeed"
-        picture = axes.svg(f"failures along {e.terrain}, {name}")
+        heading = f"{on}, {name}: {format_value(r.rate, 'share')} of {r.trials} succeed"
+        picture = axes.svg(f"failures along {on}, {name}")
         pictures.append(f"<figure><h4>{page.esc(heading)}</h4>{picture}</figure>")
     return pictures
 

@@ -91,7 +91,7 @@ def noise(runs: Sequence[Run]) -> list[Figure]:
     return [named, Figure("Mean of all joints", ("std",)), Figure("Upper bound", ("std_limit",))]
 
 
-def learning(runs: Sequence[Run]) -> list[Figure]:
+def learning() -> list[Figure]:
     return [
         Figure("KL divergence of an update (log)", ("kl",), scale="log"),
         Figure("Clip fraction", ("clip_fraction",), scale="share"),
@@ -99,7 +99,7 @@ def learning(runs: Sequence[Run]) -> list[Figure]:
         Figure(
             "Gradient norm before clipping (log)", ("gradient/policy", "gradient/critic"), ("policy", "critic"), "log"
         ),
-        Figure("Learning rate (log)", tuple(_rates(runs)), tuple(_rates(runs)), "log"),
+        Figure("Learning rate (log)", ("learning_rate",), scale="log"),
         Figure("Value loss (log)", ("value_loss",), scale="log"),
         Figure("Policy loss", ("policy_loss",)),
         Figure("Entropy", ("entropy",)),
@@ -136,7 +136,7 @@ def rewards(runs: Sequence[Run]) -> tuple[list[Figure], list[str]]:
 
 def rest(runs: Sequence[Run]) -> list[Figure]:
     """What no group above knows, nor `trainer.report.endings`."""
-    groups = [*overall(), *by_family(runs), *noise(runs), *learning(runs), *physics(), *clock(runs)]
+    groups = [*overall(), *by_family(runs), *noise(runs), *learning(), *physics(), *clock(runs)]
     known = {name for figure in groups for name in figure.names} | {"samples", "episodes"}
     known |= {name.removesuffix(" an iteration") for name in known}
     every = dict.fromkeys(name for run in runs for name in run.columns if run.column(name) is not None)
@@ -207,8 +207,3 @@ def _term(name: str) -> str:
 def _starting(runs: Sequence[Run], prefix: str) -> list[str]:
     names = [n for run in runs for n in run.columns if n.startswith(prefix) and run.column(n) is not None]
     return list(dict.fromkeys(names))
-
-
-def _rates(runs: Sequence[Run]) -> list[str]:
-    """The learning rate, or one for each network."""
-    return _starting(runs, "learning_rate") or ["learning_rate"]

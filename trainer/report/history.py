@@ -115,10 +115,11 @@ def read_run(folder: Path, name: str) -> Run:
     if done[0] > 1:
         notes.append(f"the history begins at iteration {done[0]:.0f}: its minutes count from there")
     over = {"iterations": done}
-    samples, why = _samples(folder, done, columns)
-    notes += [why] if why else []
-    if samples is not None:
+    samples = columns.get("samples", np.zeros(1))
+    if np.isfinite(samples).all() and samples[0] > 0 and (np.diff(samples) >= 0).all():
         over["samples"] = samples
+    else:
+        notes.append("no samples were logged: it cannot be drawn over samples")
     minutes = _minutes(columns)
     if minutes is not None:
         over["minutes"] = minutes
@@ -259,29 +260,6 @@ def _names(folders: Sequence[Path]) -> list[str]:
     raise TrainerError("a run was named twice", found=", ".join(map(str, folders)))
 
 
-def _samples(folder: Path, done: F64, columns: Mapping[str, F64]) -> tuple[F64 | None, str]:
-    """(M,) samples so far, or None; and what to say about it."""
-    logged = columns.get("samples")
-    if logged is not None and np.isfinite(logged).all() and logged[0] > 0 and (np.diff(logged) >= 0).all():
-        return logged, ""
-    try:
-        from trainer.ppo import checkpoint
-
-        training = checkpoint.read(folder / "policy.pt")["training"]
-        each = float(training["samples"]) / float(training["iteration"])
-    except ImportError:
-        why = "torch is not installed, and policy.pt knows them"
-    except RealsimError as error:
-        why = f"policy.pt knows them: {error.message}"
-    except (KeyError, TypeError, ValueError, ZeroDivisionError):
-        why = "policy.pt does not say how many"
-    else:
-        if math.isfinite(each) and each > 0:
-            return done * each, ""
-        why = "policy.pt does not say how many"
-    return None, f"its samples are not known ({why}): it cannot be drawn over samples"
-
-
 def _minutes(columns: Mapping[str, F64]) -> F64 | None:
     """(M,) minutes so far of collecting and improving; what evaluations took is not logged."""
     parts = [columns[name] for name in ("collect_s", "update_s") if name in columns]
@@ -315,12 +293,14 @@ def _result(folder: Path) -> tuple[dict[str, Any], list[str]]:
     """result.json, which a run has when it is finished."""
     path = folder / "result.json"
     if not path.is_file():
-        return {}, ["there is no result.json: the run goes on, or was interrupted"]
+        return {}, ["the run goes on, or was interrupted"]
     try:
         data = read_json(path)
     except RealsimError as error:
         return {}, [f"result.json: {error.message}"]
-    return (data, []) if isinstance(data, dict) else ({}, ["result.json does not hold a result"])
+    if not isinstance(data, dict):
+        return {}, ["result.json does not hold a result"]
+    return data, [] if "result" in data else ["the run goes on, or was interrupted"]
 
 
 def _part(data: Mapping[str, Any], name: str, kind: type = dict) -> Any:

@@ -18,6 +18,7 @@ from realsim.core.geometry import R_to_quat, quat_to_R
 from realsim.core.mjcf import check_mjcf
 from realsim.robots.base import Robot, add_camera, add_servo
 from trainer.errors import TrainerError
+from trainer.fields import filled
 from trainer.robots.base import TrainedRobot
 from trainer.robots.derive import derived
 from trainer.robots.soles import collides, outline
@@ -55,7 +56,7 @@ class Mount:
     """A depth camera on a body, that looks along the body's x axis, pitched down."""
 
     body: str
-    pos: tuple[float, ...]
+    pos: tuple[float, float, float]
     """(3,) m in the body's frame."""
     pitch_deg: float
     fovy_deg: float = 58.0
@@ -107,25 +108,15 @@ def read(path: Path) -> RobotFile:
     """
     try:
         data = tomllib.loads(read_text(path))
-        joints = {str(k): Servo(**{n: float(x) for n, x in v.items()}) for k, v in data.pop("joints").items()}
-        camera = Mount(**data.pop("camera")) if "camera" in data else None
-        lists = {
-            k: tuple(tuple(x) if isinstance(x, list) else x for x in v) for k, v in data.items() if type(v) is list
-        }
-        found = RobotFile(**(data | lists), joints=joints, camera=camera)
-        if camera is not None and (len(camera.pos) != 3 or not np.isfinite([*camera.pos, camera.pitch_deg]).all()):
-            raise ValueError("camera.pos takes three numbers in metres")
-        bad = [n for n, s in joints.items() if min(s.kp, s.effort, s.velocity, s.action_scale) <= 0 or s.kd < 0]
-        if bad or not np.isfinite([[*asdict(s).values()] for s in joints.values()]).all():
-            raise ValueError(f"gains, limits and scales are positive numbers: {', '.join(bad) or 'joints'}")
-    except (tomllib.TOMLDecodeError, KeyError, TypeError, ValueError, AttributeError) as error:
-        raise TrainerError(
-            "not a robot's file",
-            file=path,
-            expected=f"TOML with {', '.join(f.name for f in fields(RobotFile))}",
-            found=f"{type(error).__name__}: {error}",
-            hint="realsim robot new MODEL writes one",
-        ) from error
+    except tomllib.TOMLDecodeError as error:
+        expected = f"TOML with {', '.join(f.name for f in fields(RobotFile))}"
+        hint = "realsim robot new MODEL writes one"
+        raise TrainerError("not a robot's file", file=path, expected=expected, found=str(error), hint=hint) from error
+    found = filled(RobotFile, data, "entry of a robot's file", path)
+    for name, servo in found.joints.items():
+        if min(servo.kp, servo.effort, servo.velocity, servo.action_scale) <= 0 or servo.kd < 0:
+            expected = "gains, limits and scales that are positive numbers"
+            raise TrainerError(f"joint {name} cannot be driven so", file=path, expected=expected, found=str(servo))
     return found
 
 
