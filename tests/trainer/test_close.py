@@ -15,7 +15,6 @@ from realsim.gap.checks.camera.recorded import depth_camera
 from trainer.commands.close import close
 from trainer.commands.common import find_terrain
 from trainer.deploy import log as logs
-from trainer.deploy.contract import check
 from trainer.deploy.log import CaseLog
 from trainer.deploy.loop import DeployConfig, deploy
 from trainer.deploy.mujoco import MujocoRobot
@@ -63,20 +62,6 @@ def test_the_logged_pinhole_has_the_rays_of_the_policys_pixels(case: Path) -> No
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
     angle = np.arccos(np.clip((directions.reshape(-1, 3) * rays(QUADRUPED.camera)).sum(-1), -1, 1))
     assert angle.max() < 0.003  # half a pixel of the full image: the nearest one is kept
-
-
-def test_the_contract_is_kept_and_a_broken_link_is_named(case: Path, tmp_path: Path) -> None:
-    assert check(case).kept
-    for name, change, link in (
-        ("joints", lambda d: d | {"joint_pos": d["joint_pos"][:, ::-1]}, "the observation joint_pos"),
-        ("scale", lambda d: d | {"command": 1.1 * d["command"]}, "the joint target"),
-        ("network", lambda d: d | {"observation": d["observation"] + 0.3}, "the policy's action"),
-    ):
-        other = tmp_path / name
-        shutil.copytree(case, other)
-        for file in (other / "runs").glob("*.npz"):
-            np.savez(file, **change(dict(np.load(file))))
-        assert link in check(other).off
 
 
 def test_a_driver_that_reads_no_number_stops_the_robot_and_the_log_is_kept(tmp_path: Path) -> None:
@@ -136,7 +121,7 @@ def test_close_stops_where_the_contract_is_broken_and_goes_on_where_it_was(case:
         said = close(other, TrainConfig(), base_of("quadruped"), "boxes:0.2:1", out)
         assert said.data["contract"]["kept"] is False
         assert said.data["diagnosis"] == said.data["training"] == {}
-        assert "joint target" in (out / "report.html").read_text()
+        assert "joints are sent in another order" in (out / "report.html").read_text()
     with pytest.raises(TrainerError, match="another loop"):
         close(other, TrainConfig(), base_of("quadruped"), "boxes:0.3:1", out)
 

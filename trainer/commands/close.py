@@ -84,10 +84,20 @@ class _Steps:
 
 
 def _contract(case: Path) -> dict[str, Any]:
-    from trainer.deploy.contract import check
+    """The fit of `realsim diagnose --policy`; a log that cannot tell contradicts nothing."""
+    from realsim.gap.case.case import load_case
+    from realsim.gap.checks.contract import check, load_policy, read_steps
 
-    found = check(case)
-    return {"kept": found.kept, "lines": found.lines(), "off": found.off, "steps": found.steps}
+    loaded = load_case(case)
+    trained = load_policy(case / "policy.onnx", joints=loaded.joint_names)
+    steps = read_steps(loaded, trained.camera)
+    found = check(trained, steps)
+    return {
+        "kept": found.verdict in ("kept", "still"),
+        "lines": [found.sentence, *(f"{e['text']}: {e['setting']}" for e in found.errors if e["setting"])],
+        "off": {e["text"]: e["left"] for e in found.errors},
+        "steps": sum(len(run.time) for run in steps.runs),
+    }
 
 
 def _diagnosed(case: Path, out: Path, effects: tuple[str, ...]) -> dict[str, Any]:

@@ -22,7 +22,7 @@ import numpy as np
 from realsim.core.errors import RealsimError
 from realsim.core.files import digest, read_bytes, read_json, to_json, write_bytes, write_text
 from realsim.core.geometry import R_to_quat, quat_to_R
-from trainer.deploy.config import DeployConfig
+from trainer.config import DeployConfig
 from trainer.deploy.robot import Reading
 from trainer.errors import TrainerError
 from trainer.physics import PhysicsConfig
@@ -72,9 +72,10 @@ class CaseLog:
         self._check(config)
 
     def add(
-        self, time: float, reading: Reading, inputs: dict[str, Any], speed: float, action: Any, targets: Any
+        self, time: float, reading: Reading, inputs: dict[str, Any], told: Any, speed: float, action: Any, targets: Any
     ) -> None:
-        """One step: `time` in s of the reading, what the policy saw and said, and the joint targets that were sent."""
+        """One step: `time` in s of the reading, what the policy saw, was told (3,) and answered, and the joint targets
+        that were sent."""
         row = {
             "time": time,
             "command": targets,
@@ -84,6 +85,7 @@ class CaseLog:
             "observation": inputs["vector"][0],
             "action": action,
             "speed": speed,
+            "policy_command": told,
             **{name: getattr(reading, name) for name in SIGNALS if getattr(reading, name) is not None},
         }
         if reading.depth is not None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trainer.deploy.config import DeployConfig
+from trainer.config import DeployConfig
 from trainer.deploy.observer import Observer
 from trainer.deploy.robot import Reading, Robot
 from trainer.errors import TrainerError
@@ -130,7 +130,7 @@ def deploy(
             robot.write(targets)
             if log is not None:
                 passed = started - began if config.realtime else report.steps * facts.policy_dt
-                log.add(passed, reading, inputs, speed, action, targets)
+                log.add(passed, reading, inputs, told, speed, action, targets)
             report.latency_s.append(clock() - started)
             report.steps += 1
             due += facts.policy_dt
