@@ -5,12 +5,16 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass
 from math import comb
+from statistics import median
 from typing import Any
 
 from trainer.evaluate import Evaluation
 
 CHANCE = 0.05
 """A policy is better if fewer pairs of equally good policies than this share would differ so much."""
+
+AT_ONCE = 1.0
+"""Seconds: a robot that fails sooner has not begun to walk (at 0.8 m/s it is still on the start platform)."""
 
 
 @dataclass(frozen=True)
@@ -66,12 +70,11 @@ def _total(evaluation: Evaluation) -> tuple[int, int]:
 def _failures(evaluation: Evaluation) -> list[str]:
     lines = []
     for result in evaluation.results:
-        counts = [(sum(v for k, v in b.items() if k not in ("from_m", "to_m")), b) for b in result.where]
-        if counts:
-            count, worst = max(counts, key=lambda item: item[0])
-            causes = ", ".join(f"{k} {v}" for k, v in worst.items() if k not in ("from_m", "to_m"))
-            where = f"{worst['from_m']:.2f} to {worst['to_m']:.2f} m"
-            lines.append(f"{result.terrain}: {count} of {result.trials} trials at {where} ({causes})")
+        if result.bins:
+            low, high, worst = max(result.bins, key=lambda b: sum(b[2].values()))
+            causes = ", ".join(f"{k} {v}" for k, v in worst.items())
+            count = sum(worst.values())
+            lines.append(f"{result.terrain}: {count} of {result.trials} trials at {low:.2f} to {high:.2f} m ({causes})")
     return lines
 
 
@@ -83,6 +86,15 @@ def _advice(before: Evaluation, after: Evaluation, better: bool) -> list[str]:
         causes.update(result.reasons)
     waits, falls = causes["timeout"] + causes["stuck"], causes["ground"] + causes["tilt"]
     advice = ["more time: --minutes, with --resume to go on from where this run ended"]
+    ends = [f["seconds"] for r in after.results for f in r.failures]
+    if ends and median(ends) < AT_ONCE:
+        advice.insert(0, f"half of the failures come within {median(ends):.1f} s: does the robot stand on the start? "
+                         "(`realsim view`, `realsim robot check`)")  # fmt: skip
+    elif _total(after)[0] == 0:
+        far = max(r.covered for r in after.results)
+        advice.insert(
+            0, f"no trial reached the goal, {far:.0%} of the way were covered: is there a way? (`realsim view`)"
+        )
     if waits > falls:
         advice.append("the policy waits: --first-success help begins on wider tops and makes waiting cost more")
     elif falls:

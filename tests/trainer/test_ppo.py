@@ -208,6 +208,26 @@ def test_worlds_go_on_after_a_checkpoint_unless_asked(tmp_path: Path, restart: b
     assert began == ([0, 2, 4] if restart else [0])
 
 
+def test_an_interrupted_run_is_kept_up_to_the_last_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where checkpoints are rare, one is written whenever half a minute has passed."""
+    monkeypatch.setattr(loop, "SAVED_S", 0.0)
+    r = runner(BRIEF, worlds=4)
+    iterate = r.iterate
+
+    def interrupted() -> dict[str, float]:
+        if r.iteration == 3:
+            raise KeyboardInterrupt
+        return iterate()
+
+    monkeypatch.setattr(r, "iterate", interrupted)
+    config = LoopConfig(iterations=5, checkpoint_every=100, tensorboard=False)
+    with pytest.raises(KeyboardInterrupt):
+        train(r, config, tmp_path)
+    rest = runner(BRIEF, worlds=4)
+    train(rest, config, tmp_path, resume=tmp_path / "policy.pt")
+    assert [row["iteration"] for row in read_rows(tmp_path)] == [0, 1, 2, 3, 4]
+
+
 def test_point_mass_is_learnt_from_depth() -> None:
     """Only the image says where the goal is; 2.0 would be a whole episode on it, doing nothing earns 0.0."""
     r = runner(worlds=64)

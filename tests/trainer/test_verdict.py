@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -36,6 +37,17 @@ def test_only_what_beats_the_base_beyond_chance_is_delivered() -> None:
     assert worse.as_dict()["delivered"] == "base"
     assert "1.00 to 1.25 m" in worse.failures[0]
     assert any("waits" in line for line in worse.advice)
+
+
+@pytest.mark.parametrize(
+    ("won", "seconds", "says"),
+    [(40, 0.3, "within 0.3 s"), (0, 5.0, "no trial reached the goal, 30%"), (40, 5.0, "time")],
+)
+def test_what_to_try_follows_how_it_fails(won: int, seconds: float, says: str) -> None:
+    after = trials(won)
+    failures = tuple({"seconds": seconds} for _ in range(100 - won))
+    after = replace(after, results=(replace(after.results[0], failures=failures, covered=0.3),))
+    assert says in judge(trials(won), after).advice[0]
 
 
 def tuned(**settings: float):

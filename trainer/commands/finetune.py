@@ -2,22 +2,39 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import tyro
 
 from realsim.cli.commands import CommandResult
-from realsim.core.files import to_json, write_text
+from realsim.core.errors import RealsimError
+from realsim.core.files import read_json, to_json, write_text
 from realsim.core.progress import note
-from trainer.config import EvaluationConfig
+from trainer.config import Evaluation, EvaluationConfig
 from trainer.policies import TASKS, base_of
 from trainer.trainers import Scene, TrainConfig, TrainResult, find
 from trainer.trainers.ladder import HELP_BELOW, helped
 
-if TYPE_CHECKING:
-    from trainer.evaluate import Evaluation
+
+@dataclass(frozen=True)
+class Begun:
+    """How a run that is resumed began: without it, it would go on in another task, and not be judged by its base."""
+
+    base: Path | None = None
+    task_file: Path | None = None
+    before: Evaluation | None = None
+
+    @staticmethod
+    def of(file: Path) -> Begun:
+        """As the run's result.json has it; what is not there any more is left out."""
+        data = read_json(file) if file.is_file() else {}
+        data = data if isinstance(data, dict) else {}
+        base, task = (Path(data[name]) if data.get(name) else None for name in ("base", "task_file"))
+        before = Evaluation.of(data["before"], file) if data.get("before") else None
+        return Begun(base, task, before) if base is not None and base.is_file() else Begun(task_file=task)
 
 
 def finetune(
@@ -72,38 +89,55 @@ def finetune(
             expected="the policy.pt beside it",
             hint="realsim evaluate takes the exported one",
         )
-    if policy is None and not from_scratch and config.resume is None:
+    begun = Begun()
+    if config.resume is not None:
+        begun = Begun.of(config.resume.with_name("result.json"))
+    elif policy is None and not from_scratch:
         robot = config.robot or "g1"
-        policy, task_file = base_of(robot), task_file or TASKS[robot]
+        policy, begun = base_of(robot), Begun(task_file=TASKS[robot])
         note(f"from the base that ships with realsim: {policy.name}")
+    base, task_file, before = policy or begun.base, task_file or begun.task_file, begun.before
     scene = common.find_scene(scenes)
     config = replace(config, task=load_task(task_file))
     train = find(trainer)
     if config.strategy:
         STRATEGIES[config.strategy]  # an unknown name is refused before the trials of the base take minutes
-    before = None
     if policy is not None and final_trials and common.first_rank():
         note("trials of the base policy")
         before = trials(policy, scene, config, final_trials)
+    data = {
+        "base": None if base is None else str(base.absolute()),
+        "task_file": None if task_file is None else str(task_file.absolute()),
+        "before": None if before is None else before.as_dict(),
+    }
+    if common.first_rank():
+        write_text(out / "result.json", to_json(data))  # a resume goes on with it
     help_it = first_success == "help" or (first_success == "auto" and before is not None and _hardly_crosses(before))
     lands = scene
     if help_it:
         lands, task = helped(scene, config.task)
         config = replace(config, task=task)
-    result = train(lands, policy, config, out)
+    try:
+        result = train(lands, policy, config, out)
+    except RealsimError:
+        if not (out / "policy.pt").is_file():  # nothing was trained: there is no run to go on with
+            (out / "result.json").unlink(missing_ok=True)
+            with suppress(OSError):
+                out.rmdir()
+        raise
     if not common.first_rank():
         return CommandResult("")
     after = verdict = None
     if final_trials and result.ours:
         note("trials of the fine-tuned policy")
         after = trials(result.policy, scene, config, final_trials)
-        if before is not None and policy is not None:
+        if before is not None and base is not None:
             verdict = judge(before, after)
             if not verdict.better:
-                deliver_base(policy, result, config)
+                deliver_base(base, result, config)
     data = {
         "result": asdict(result),
-        "before": None if before is None else before.as_dict(),
+        **data,
         "after": None if after is None else after.as_dict(),
         "verdict": None if verdict is None else verdict.as_dict(),
         "target": config.loop.target,

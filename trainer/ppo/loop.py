@@ -29,6 +29,8 @@ STANDING = 0.5
 falling), a policy that had learnt to stand on narrow beams 90 %."""
 FALLEN = 0.15
 """By how much success may fall below the best evaluation: of 100 trials at 50 %, chance does it once in sixty."""
+SAVED_S = 30.0
+"""Seconds after which a checkpoint is written also between two of `checkpoint_every`: an interruption costs no more."""
 
 Evaluate = Callable[[Policy], float]
 """Success rate (0..1) of the deterministic policy in fixed trials; must leave the training's worlds alone."""
@@ -64,7 +66,7 @@ def train(
         evaluate: asked on the first rank only; without it there is no target.
         resume: a checkpoint of the same policy to go on from.
 
-    An interrupt leaves the last checkpoint. Files are written by the first rank.
+    An interrupt leaves the last checkpoint, at most `SAVED_S` and an iteration old. The first rank writes files.
     """
     history, best = History(), Best()
     if resume is not None:
@@ -76,7 +78,8 @@ def train(
     # Whoever asked for the training goes on with its policy.pt, also where nothing is left to train.
     until = time.monotonic() + 60 * config.minutes if config.minutes else math.inf
     done = _done(runner, history, config, until)
-    began, evaluating = time.perf_counter(), 0.0
+    began = saved = time.perf_counter()
+    evaluating = 0.0
     if done:
         save(runner, history, folder, best)
     else:
@@ -105,8 +108,11 @@ def train(
                 history.notes.append(f"iteration {runner.iteration}: {lost}; training went back to its best policy")
                 runner.go_back(best.policy)
                 watch.restart()
-            if runner.iteration % config.checkpoint_every == 0 or done:
+            regular = runner.iteration % config.checkpoint_every == 0 or done
+            overdue = not config.restart_at_checkpoint and time.perf_counter() - saved > SAVED_S
+            if any_rank(regular or overdue, runner.rank.device):
                 save(runner, history, folder, best)
+                saved = time.perf_counter()
                 if config.restart_at_checkpoint:
                     runner.begin()
     return history
