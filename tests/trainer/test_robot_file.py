@@ -128,6 +128,18 @@ def test_limits_of_a_urdf_are_taken(tmp_path: Path) -> None:
     np.testing.assert_allclose(robot.lower[1::2], -2.5)
 
 
+def test_wheels_at_the_feet_are_locked(tmp_path: Path) -> None:
+    end = '<origin xyz="0 0 -0.2"/>'
+    rolling = (
+        urdf()
+        .replace('type="fixed"', 'type="continuous"')
+        .replace(f"{end}</joint>", f'{end}<axis xyz="0 1 0"/></joint>')
+    )
+    robot = made(tmp_path, rolling, "dog.urdf")
+    assert len(robot.joints) == 8
+    assert "wheels" in (tmp_path / "dog.toml").read_text()
+
+
 def test_legs_that_are_bent_for_the_default_pose_are_not_called_straight(tmp_path: Path) -> None:
     for text, name, says in ((urdf(), "dog.urdf", "mid-range"), (mjcf(), "dog.xml", "key frame 'home'")):
         (tmp_path / name).write_text(text)

@@ -12,6 +12,7 @@ import torch
 
 from trainer.physics import ENGINES, PhysicsConfig
 from trainer.robots.base import TrainedRobot
+from trainer.robots.derive import touching
 from trainer.terrain import flat
 
 SECONDS = 2.0
@@ -65,11 +66,7 @@ def _touching(robot: TrainedRobot, state: Any) -> str:
     data.qpos[:] = np.concatenate([x.numpy() for x in parts])
     mujoco.mj_forward(model, data)
     standing = {("world", foot) for foot in robot.feet} | {(foot, "world") for foot in robot.feet}
-    return _named({_bodies(model, c) for c in data.contact} - standing)
-
-
-def _bodies(model: Any, contact: Any) -> tuple[str, ...]:
-    return tuple(sorted(model.body(int(model.geom_bodyid[g])).name for g in contact.geom))
+    return _named(touching(model, data) - standing)
 
 
 def _named(pairs: set[tuple[str, ...]]) -> str:
@@ -107,7 +104,7 @@ def _moves(robot: TrainedRobot) -> Iterator[Finding]:
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     model = spec.compile()
     data, lame = mujoco.MjData(model), []
-    touching: set[tuple[str, ...]] = set()
+    met: set[tuple[str, ...]] = set()
     for j, name in enumerate(robot.joints):
         mujoco.mj_resetData(model, data)
         data.qpos[7:], data.qpos[2] = robot.default, 2.0
@@ -117,9 +114,7 @@ def _moves(robot: TrainedRobot) -> Iterator[Finding]:
             data.ctrl[:] = robot.default
             data.ctrl[j] += goal * min(1.0, 2 * k / steps)
             mujoco.mj_step(model, data)
-            touching |= {
-                tuple(sorted(model.body(int(model.geom_bodyid[g])).name for g in c.geom)) for c in data.contact
-            }
+            met |= touching(model, data)
         if (data.qpos[7 + j] - robot.default[j]) / goal < FOLLOWS:
             lame.append(name)
     yield (
@@ -127,8 +122,8 @@ def _moves(robot: TrainedRobot) -> Iterator[Finding]:
         if lame
         else Finding("good", f"{len(robot.joints)} joints follow their servos")
     )
-    if touching:
-        text = f"links that touch each other near the default pose: {_named(touching)} (exclude what overlaps)"
+    if met:
+        text = f"links that touch each other near the default pose: {_named(met)} (exclude what overlaps)"
         yield Finding("look", text)
 
 

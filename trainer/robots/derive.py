@@ -143,6 +143,11 @@ def joints_above(model: Any, body: str) -> list[str]:
     return found
 
 
+def touching(model: Any, data: Any) -> set[tuple[str, ...]]:
+    """Pairs of bodies in contact, each in the order of the alphabet."""
+    return {tuple(sorted(model.body(int(model.geom_bodyid[g])).name for g in c.geom)) for c in data.contact}
+
+
 def _mount(model: Any) -> DepthMount:
     """The model's first camera as a mount that looks along +x."""
     body = model.body(int(model.cam_bodyid[0])).name

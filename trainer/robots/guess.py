@@ -14,7 +14,7 @@ from realsim.core.geometry import quat_to_R
 from realsim.robots.base import LOOK
 from realsim.robots.g1 import pd_gains
 from trainer.errors import TrainerError
-from trainer.robots.derive import hip_joints, joints_above, leg_paths
+from trainer.robots.derive import hip_joints, joints_above, leg_paths, touching
 from trainer.robots.file import (
     Mount,
     RobotFile,
@@ -58,7 +58,6 @@ def guess(path: Path, out: Path) -> tuple[RobotFile, dict[str, str]]:
     keyed = compiled(spec, path)
     home, reasons["joints"] = _home(keyed)
     base, reasons["base"] = _base(keyed)
-    cameras = {c.name: c.parent.name for c in spec.cameras}
     passive = [j.name for j in spec.joints if drives and j.name not in drives and j.type != mujoco.mjtJoint.mjJNT_FREE]
     strip(spec, tuple(passive))
     float_base(spec, base)
@@ -72,6 +71,15 @@ def guess(path: Path, out: Path) -> tuple[RobotFile, dict[str, str]]:
         raise TrainerError(
             "no pair of feet was found: the robot walks on nothing", file=path, expected=reasons["feet"], found="none"
         )
+    moved = {n: model.body(int(model.jnt_bodyid[model.joint(n).id])).name for n in hinges}
+    wheels = [n for n in hinges if not model.jnt_limited[model.joint(n).id] and moved[n] in feet]
+    if wheels:
+        strip(spec, tuple(wheels))
+        model, hinges = compiled(spec, path), [name for name in hinges if name not in wheels]
+        if not hinges:
+            raise TrainerError("the robot has wheels and no legs", file=path, expected="legs: training makes it walk")
+        home = {name: home[name] for name in hinges}
+        reasons["lock"] = "wheels (feet that turn without limit): fixed at 0, training drives positions"
     if not keyed.nkey and len(feet) > 2:  # two feet are flat, and stand as they are
         home = _feet_below_hips(model, home, feet)
         if any(home.values()):
@@ -84,12 +92,13 @@ def guess(path: Path, out: Path) -> tuple[RobotFile, dict[str, str]]:
     for name in hinges:
         servos[name], reasons[f"joints.{name}"] = _servo(model, name, home[name], drives.get(name), limits, load)
     torso, reasons["torso"] = _torso(model, base, feet)
-    camera, reasons["camera"] = _camera(keyed, model, data, base, cameras)
+    camera, reasons["camera"] = _camera(keyed, model, data, base)
     hips = tuple(hip_joints(data, leg_paths(model, feet)))
     reasons["hips"] = "upper half of each leg, not about y: kept near the default by a reward"
     if passive:
-        reasons["lock"] = "nothing drives them: fixed at 0"
-    exclude = _touching(model, data)
+        reasons["lock"] = " ".join(filter(None, ("nothing drives them: fixed at 0.", reasons.get("lock"))))
+    mujoco.mj_fwdPosition(model, data)
+    exclude = tuple(sorted(touching(model, data)))
     if exclude:
         reasons["exclude"] = "these overlap in the default pose"
     reasons["name"] = "policies and reports call it so"
@@ -101,7 +110,7 @@ def guess(path: Path, out: Path) -> tuple[RobotFile, dict[str, str]]:
         feet=feet,
         joints=servos,
         hips=hips,
-        lock=tuple(passive),
+        lock=(*passive, *wheels),
         exclude=exclude,
         camera=camera,
     )
@@ -271,30 +280,19 @@ def _torso(model: Any, base: str, feet: tuple[str, ...]) -> tuple[str, str]:
     return base, "no body is named like a torso; the base's tilt ends an episode"
 
 
-def _camera(keyed: Any, model: Any, data: Any, base: str, cameras: dict[str, str]) -> tuple[Mount, str]:
+def _camera(keyed: Any, model: Any, data: Any, base: str) -> tuple[Mount, str]:
     """The model's first camera that looks ahead along a body, else a mount on the front of the base."""
     for c in range(keyed.ncam):
         body = keyed.body(int(keyed.cam_bodyid[c])).name
         ahead = quat_to_R(keyed.cam_quat[c]) @ LOOK.T @ [1, 0, 0]
         if body != "world" and keyed.cam_mode[c] == 0 and ahead[0] > 0.3 and abs(ahead[1]) < 0.1:
-            pitch = float(np.degrees(np.arctan2(-ahead[2], ahead[0])))
-            pos = tuple(round(float(x), 4) for x in keyed.cam_pos[c])
-            return Mount(
-                body, pos, round(pitch, 2), float(keyed.cam_fovy[c])
-            ), f"the model's camera {keyed.cam(c).name!r}"
+            pitch = round(float(np.degrees(np.arctan2(-ahead[2], ahead[0]))), 2)
+            x, y, z = (round(float(v), 4) for v in keyed.cam_pos[c])
+            return Mount(body, (x, y, z), pitch, float(keyed.cam_fovy[c])), f"the model's camera {keyed.cam(c).name!r}"
     body = model.body(base).id
     mine = [g for g in range(model.ngeom) if model.geom_bodyid[g] == body and collides(model, g)]
     points = [outline(model, g, np.array(d, float)) for g in mine for d in ((1, 0, 0), (0, 0, 1))] or [np.zeros((1, 3))]
     front, _, top = np.vstack(points).max(0)
     at = (round(float(front), 3), 0.0, round(float(top), 3))
-    return Mount(
-        base, at, CAMERA_PITCH_DEG
-    ), "nothing says it: a D435i at front and top of the base. Another mount is another policy"
-
-
-def _touching(model: Any, data: Any) -> tuple[tuple[str, ...], ...]:
-    mujoco.mj_fwdPosition(model, data)
-    found = {
-        tuple(sorted(model.body(int(model.geom_bodyid[g])).name for g in (c.geom1, c.geom2))) for c in data.contact
-    }
-    return tuple(sorted(found))
+    why = "nothing says it: a D435i at front and top of the base. Another mount is another policy"
+    return Mount(base, at, CAMERA_PITCH_DEG), why
