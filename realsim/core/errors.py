@@ -85,18 +85,12 @@ def did_you_mean(name: str, known: Iterable[str], cutoff: float = 0.3) -> str | 
     return f"did you mean {' or '.join(close)}?" if close else None
 
 
-def refuse_unknown(
-    name: object,
-    known: Iterable[str],
-    message: str,
-    file: str | Path | None,
-    problem: type[RealsimError] | None = None,
-) -> None:
-    """Raise `problem` (a GapError if None) with this message for a name that is not known; the hint is the closest."""
+def refuse_unknown(name: object, known: Iterable[str], message: str, file: str | Path | None) -> None:
+    """Raise a GapError with this message for a name that is not known; the hint is the closest."""
     names = list(known)
     if name not in names:
         expected, hint = f"one of {', '.join(names[:40])}", did_you_mean(str(name), names)
-        raise (problem or GapError)(message, file=file, expected=expected, hint=hint)
+        raise GapError(message, file=file, expected=expected, hint=hint)
 
 
 class CaptureError(RealsimError):
