@@ -8,7 +8,7 @@ from math import comb
 from statistics import median
 from typing import Any
 
-from trainer.evaluate import Evaluation
+from trainer.config import Evaluation
 
 CHANCE = 0.05
 """A policy is better if fewer pairs of equally good policies than this share would differ so much."""

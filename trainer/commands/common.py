@@ -17,8 +17,9 @@ if find_spec("torch") is None:
 import torch
 
 from trainer import terrain as terrains
+from trainer.config import Evaluation
 from trainer.errors import TrainerError
-from trainer.evaluate import Evaluation, Setting
+from trainer.evaluate import Setting
 from trainer.physics import PhysicsConfig
 from trainer.ppo import checkpoint, export
 from trainer.ppo.policy import Policy, check_layout
