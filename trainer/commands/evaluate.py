@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
@@ -62,7 +62,9 @@ def evaluate(
     found = run_trials(loaded.to(place).act, scene.terrains, config, setting, finer=others)
     data = found.as_dict()
     lines = [*common.trial_lines("success", found)]
-    singles = {"no cause": None, **alone(diagnosis)} if each and diagnosis is not None else {}
+    singles: dict[str, dict[str, Any] | None] = {}
+    if each and diagnosis is not None:
+        singles = {"no cause": None, **alone(diagnosis)}
     for title, single in singles.items():
         with TemporaryDirectory() as folder:
             file = None if single is None else Path(folder) / "diagnosis.json"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
@@ -105,7 +105,7 @@ def finetune(
     if policy is not None and final_trials and common.first_rank():
         note("trials of the base policy")
         before = trials(policy, scene, config, final_trials)
-    data = {
+    data: dict[str, Any] = {
         "base": None if base is None else str(base.absolute()),
         "task_file": None if task_file is None else str(task_file.absolute()),
         "before": None if before is None else before.as_dict(),

@@ -258,7 +258,7 @@ _JOINT: dict[str, dict[str, Callable[[Interval, TrainedRobot, int], Range | None
     "stiffness_gain": {"kp": lambda interval, robot, j: interval("ratio")},
     "damping_gain": {"kd": lambda interval, robot, j: interval("ratio")},
     # A weak motor gives a share of the whole servo torque.
-    "motor_gain": dict.fromkeys(("kp", "kd"), lambda interval, robot, j: interval("ratio")),
+    "motor_gain": {key: lambda interval, robot, j: interval("ratio") for key in ("kp", "kd")},
     "armature": {"armature": _armature},
     "coulomb_friction": {"joint_friction": lambda interval, robot, j: interval("friction")},
     "joint_offset": {"encoder": lambda interval, robot, j: interval("offset") or interval("reading_offset")},
