@@ -5,7 +5,7 @@ from __future__ import annotations
 from benchmarks.scenes import reconstruct
 from benchmarks.tables.diagnosis import real_figures
 from benchmarks.tables.fresh import FRESH, measures, rows_of
-from benchmarks.tables.policies import families, well_crossed
+from benchmarks.tables.policies import families, minute_base, well_crossed
 from benchmarks.tables.stored import of, span, stored
 
 
@@ -67,7 +67,7 @@ def readme() -> list[str]:
         (
             "Fine-tuned one minute: terrains crossed in 97 % of trials",
             well_crossed(),
-            "simulation, no pushes, one H200",
+            f"simulation, no pushes, one H200, {minute_base()}",
         ),
     ]
     return ["| | figure | measured on |", "|---|---|---|", *(f"| {' | '.join(row)} |" for row in rows)]

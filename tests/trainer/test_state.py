@@ -13,7 +13,7 @@ from trainer.ppo import checkpoint
 from training import state
 
 
-@pytest.mark.parametrize(("robot", "iterations"), [("g1", 8011), ("quadruped", 2089)])
+@pytest.mark.parametrize(("robot", "iterations"), [("g1", 9147), ("quadruped", 2089)])
 def test_the_base_that_ships_goes_on_from_its_state(robot: str, iterations: int, tmp_path: Path) -> None:
     whole, ships, kept = tmp_path / "whole.pt", tmp_path / "ships.pt", tmp_path / state.STATE
     state.join(whole, base_of(robot), state.HERE / robot / state.STATE)
