@@ -57,7 +57,7 @@ def readme() -> list[str]:
         (
             "Real robots: error named first / both of two / surely wrong",
             f"{of(real['single_first_right'])} / {of(real['double_both_right'])} / {of(real['confident_and_wrong'])}",
-            "known errors in two models, the engine before",
+            "80 known errors and none, in two models",
         ),
         (
             "G1's base policy, difficulty 0.5 / 0.8 / 1, mean and worst family",
