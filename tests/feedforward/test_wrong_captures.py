@@ -169,14 +169,6 @@ def test_exact_poses_past_equal_doors_are_used_whole(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_place_that_repeats_itself_is_said(tmp_path: Path) -> None:
-    """Frames two metres apart, doors in every bay: each match is a bay off, and they agree with each other."""
-    made = write_capture(tmp_path / "doors", SynthConfig("corridor", 10, True, width=320, seed=1, once=True))
-    frames: Any = capture.read(made.capture, CaptureConfig(keep_blurred=True, ignore_poses=True))
-    assert any("repeats itself" in w for w in feedforward.solve(frames, PointsConfig()).warnings)
-
-
-@pytest.mark.slow
 def test_half_the_frames_of_another_room_are_not_mixed_in(two: tuple[Path, Path], tmp_path: Path) -> None:
     """Four frames of each: every pair of two places is looked at with the learned matcher too."""
     folder, each = spoilt(two, tmp_path / "half", half_of_another), 4

@@ -287,6 +287,9 @@ def _motions_of_triples(P: F64, Q: F64) -> tuple[F64, F64]:
     p, q = P.mean(1, keepdims=True), Q.mean(1, keepdims=True)
     F, G = _frames_of_triples(P), _frames_of_triples(Q)
     a, b = ((A @ B[..., :2]).view(complex)[..., 0] for A, B in ((P - p, F), (Q - q, G)))
+    # Noise turns thin triangles over: their mirror images fit better then, that is, the plane seen from behind.
+    over = np.abs((a * b).sum(1)) > np.abs((a * b.conj()).sum(1))
+    G, b = G * np.where(over[:, None, None], (1, -1, -1), 1), np.where(over[:, None], b.conj(), b)
     turn = (a * b.conj()).sum(1)
     axes = (F[..., 0] + 1j * F[..., 1]) * (turn.conj() / np.maximum(np.abs(turn), 1e-12))[:, None]
     R = np.stack([axes.real, axes.imag, F[..., 2]], -1) @ np.swapaxes(G, 1, 2)
