@@ -44,7 +44,11 @@ def filled(kind: type[T], data: Any, what: str, file: Path, start: T | None = No
         raise TrainerError(message, file=file, expected=", ".join(sorted(missing)), found=", ".join(data))
     hints = get_type_hints(kind)
     given = {n: _value(hints[n], v, what, file, getattr(start, n, None), where + n) for n, v in data.items()}
-    return kind(**({n: getattr(start, n) for n in known} | given if start is not None else given))
+    try:
+        return kind(**({n: getattr(start, n) for n in known} | given if start is not None else given))
+    except TrainerError as error:  # a value beyond the limits of its field
+        error.file = error.file or str(file)
+        raise
 
 
 def _value(hint: Any, value: Any, what: str, file: Path, start: Any, where: str) -> Any:

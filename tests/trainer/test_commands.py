@@ -200,11 +200,13 @@ def test_task_files(tmp_path: Path) -> None:
         ('{"comand": {}}', "unknown task field"),
         ('{"depth": {"use": "no"}}', "depth.use has a value of the wrong kind"),
         ("[]", "must be an object"),
+        ('{"depth": {"frames": 0}}', "frames must be at least 1"),
         ('{"reward": {"weights": {"alive": "much"}}}', "reward.weights.alive has a value of the wrong kind"),
     ):
         path.write_text(text)
-        with pytest.raises(RealsimError, match=message):
+        with pytest.raises(RealsimError, match=message) as error:
             load_task(path)
+        assert error.value.file == str(path)
 
 
 def test_scenes_by_name(tmp_path: Path) -> None:
