@@ -101,8 +101,10 @@ def read_mesh(path: Path, unit: str | None = None, up: str = "auto") -> MeshFile
         named = _used(vertices, triangles)
         origin = local_origin(named * scale)
         _check_unit(named, unit, surveyed=bool(origin.any()))
-        vertices = vertices * scale - origin
+        vertices = vertices * scale
+        # Before it is moved: what begins at zero then was made so by a person.
         found = find_up(vertices, triangles, path.suffix.lower()) if up == "auto" else Up(up)
+        vertices = vertices - origin
         if found.axis == "y":
             vertices, origin = y_to_z(vertices), y_to_z(origin)
         if origin.any():

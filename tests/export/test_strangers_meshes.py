@@ -73,6 +73,15 @@ def test_map_coordinates_give_the_scene_of_the_local_file(tmp_path: Path) -> Non
     assert any("add (484212, 5457119, 312) m" in note for note in found[1]["mended"])
 
 
+def test_what_begins_at_zero_once_it_was_moved_does_not_stand_on_it(tmp_path: Path) -> None:
+    mesh = sheet(lambda x, y: 0.3 * np.sin(2 * x) * np.cos(1.7 * y))
+    rows = [f"v {x:.4f} {y:.4f} {z:.4f}" for x, y, z in mesh.vertices + np.array([691002.0, 5335002.0, 512.0])]
+    (tmp_path / "a.obj").write_text("\n".join([*rows, *(f"f {a + 1} {b + 1} {c + 1}" for a, b, c in mesh.faces)]))
+    made = read_mesh(tmp_path / "a.obj")
+    assert (made.up.axis, made.up.question) == ("z", None)
+    assert made.terrain.vertices[:, 1].min() == 0
+
+
 def test_map_coordinates_in_single_precision_are_refused(tmp_path: Path) -> None:
     mesh = put_together(*STEPS)
     mesh.apply_translation([484213.37, 5457120.61, 312.48])
