@@ -127,6 +127,39 @@ def test_mistakes_are_named_one_after_the_other(kinds: set[str], mistake: dict[s
     assert all(e["setting"] for e in found.errors)
 
 
+def logged_between(steps: Steps, times: int) -> Steps:
+    """The same loop, logged several times a step: readings go on, commands are held."""
+    (run,) = steps.runs
+    rows = np.arange(len(run.time))
+    fine = np.arange(times * rows[-1] + 1) / times
+    held = fine.astype(int)
+
+    def between(values: np.ndarray) -> np.ndarray:
+        return np.stack([np.interp(fine, rows, column) for column in values.T], axis=1)
+
+    readings = {name: between(getattr(run, name)) for name in ("pos", "vel", "gyro", "quat")}
+    run = replace(
+        run, time=np.interp(fine, rows, run.time), command=run.command[held], told=run.told[held], sent=fine == held,
+        **readings,
+    )  # fmt: skip
+    return Steps(steps.joints, (run,), steps.period / times, steps.period)
+
+
+@pytest.mark.parametrize(
+    ("kind", "mistake"),
+    [
+        ("observation_scale", {"see_vel": lambda v: 0.05 * v}),
+        ("joint_order", {"see_vel": lambda v: v[[0, 3, 1, 4, 2, 5]]}),
+        ("gravity_frame", {"gravity": -1.0}),
+    ],
+)
+def test_a_log_faster_than_its_policy(kind: str, mistake: dict[str, object]) -> None:
+    contract = make_contract()
+    found = check(contract, logged_between(loop(contract, **mistake), 4))  # type: ignore[arg-type]
+    assert [e["kind"] for e in found.errors] == [kind]
+    assert found.after < 0.05
+
+
 def test_what_noise_of_the_logs_sensors_explains_is_no_second_mistake() -> None:
     contract = make_contract()
     terms = tuple(replace(t, scale=12.0) if t.kind == "joint_vel" else t for t in contract.terms)
