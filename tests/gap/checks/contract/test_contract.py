@@ -157,7 +157,7 @@ def test_a_log_faster_than_its_policy(kind: str, mistake: dict[str, object]) -> 
     contract = make_contract()
     found = check(contract, logged_between(loop(contract, **mistake), 4))  # type: ignore[arg-type]
     assert [e["kind"] for e in found.errors] == [kind]
-    assert found.after < 0.05
+    assert found.after < 0.005
 
 
 def test_what_noise_of_the_logs_sensors_explains_is_no_second_mistake() -> None:
