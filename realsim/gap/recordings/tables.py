@@ -162,11 +162,19 @@ def rises_evenly(values: F64) -> bool:
 
 def _clock_by_values(columns: Mapping[str, F64]) -> str:
     """The column that rises evenly without being named for a signal or a count; one with a unit of time first."""
-    found = [n for n, v in columns.items() if rises_evenly(v) and not set(english(n)) & {*SIDES, *KINDS}]
+    found = [
+        n for n, v in columns.items() if rises_evenly(v) and (_is_stamp(n) or not set(english(n)) & {*SIDES, *KINDS})
+    ]
     found = [
         n for n in found if time_unit(n) or not (_counts(columns[n]) and (set(english(n)) & _COUNTS or not plain(n)))
     ]
     return min(found, key=lambda n: (not time_unit(n), "time" not in english(n), _counts(columns[n])), default="")
+
+
+def _is_stamp(name: str) -> bool:
+    """Whether a path ends in a clock: `/joint_states/header/stamp`, `/joint_states/header/stamp/sec`."""
+    parts = name.split("/")
+    return any(is_clock(" ".join(parts[-k:])) for k in range(1, len(parts)))
 
 
 def _counts(values: F64) -> bool:

@@ -46,6 +46,7 @@ CLOCKS = {
     "millis": 1e3, "micros": 1e6, "seconds": 1, "TimeStamp": 1, "header.stamp": 1, "rosbagTimestamp": 1e9,
     "sim_time": 1, "unix_time": 1, "uptime_ms": 1e3, "elapsed_time": 1, "Zeit [ms]": 1e3, "temps_ecoule": 1,
     "Tiempo (s)": 1, "x-axis": 1, "时间": 1, "%time": 1e9, "T/ms": 1e3, "loop": 1, "ZEIT": 1e6,
+    "/joint_states/header/stamp": 1,
 }  # fmt: skip
 
 
