@@ -149,6 +149,6 @@ def test_a_size_that_no_such_robot_has_comes_after_one_that_it_may_have(arm: Cas
             for size in (1.5, 0.2)
         )
         plain = replace(nominal, causes=(Cause(friction, (0.2,)),), covariance=np.eye(1), misfit=nominal.misfit - 20)
-        assert [f is plain for f in _in_order(fitter.screen, [huge, plain])] == [True, False]
-        assert [f is plain for f in _in_order(fitter.screen, [usual, plain])] == [False, True]
+        assert [f is plain for f in _in_order(fitter, [huge, plain])] == [True, False]
+        assert [f is plain for f in _in_order(fitter, [usual, plain])] == [False, True]
         assert bent(nominal, huge) > 0 == bent(nominal, usual)
