@@ -10,7 +10,7 @@ from benchmarks.tables.stored import Row, answered, counts, share, stored
 FRESH = (3300, "0a2b6d67")
 """(seed, commit of the engine) that README and REPORT show."""
 DRAWN = 57
-"""Cases of that seed. Those without a row, all of walking robots with an error, took more than 450 s of a shared core."""
+"""Cases of that seed. Those without a row, all of walking robots with an error, took over 450 s of a shared core."""
 FIXED, WALKING = ("pendulum", "arm2", "arm6"), ("quadruped", "g1")
 COLUMNS = {
     "fixed base": FIXED,
