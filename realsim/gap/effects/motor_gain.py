@@ -1,4 +1,4 @@
-"""The actuator gives more or less force than it is asked for."""
+"""The actuator gives more or less force than commanded."""
 
 from __future__ import annotations
 

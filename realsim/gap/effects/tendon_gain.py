@@ -1,4 +1,4 @@
-"""A drive that pulls a tendon gives more or less force than it is asked for."""
+"""A drive that pulls a tendon gives more or less force than commanded."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ TICKS = 4096
 MARGIN = 0.05
 """rad or m beyond its range at which a joint may still be read."""
 SURELY = 0.99
-"""Share of the samples within the ranges, read as turns, from which a missing unit is in doubt."""
+"""Share of the samples within the ranges, read as turns, from which a missing unit is in doubt. Set by hand."""
 IN_RANGE = 0.5
 """Share of the samples within the joints' ranges below which positions are in doubt."""
 CLEAR = 0.25
@@ -33,7 +33,8 @@ FEET_LEVEL = 0.02
 CONVENTION = 0.05
 """Agreement by which another order must do better than the numbers in the columns' names."""
 SLOPE = 0.95
-"""Correlation with the positions' slope from which whole numbers are velocities in steps, of the size that it gives."""
+"""Correlation with the positions' slope from which whole numbers are velocities in steps, of that size. Set
+by hand on made logs, not measured on others."""
 NO_UNIT = 3.0
 """Ratio to the positions' slope from which what is in no unit is no velocity that could be used."""
 DYNAMICS = 600

@@ -329,7 +329,7 @@ def test_a_clock_that_is_not_there(arm: Log, tmp_path: Path) -> None:
 
 
 def test_files_that_name_joints_alone(arm: Log, tmp_path: Path) -> None:
-    """What the columns hold stands in the files' names."""
+    """The files' names say what their columns are."""
     folder, head = tmp_path / "run", ",".join(("time [s]", *JOINTS))
     folder.mkdir()
     for name, values in (("joint_states", arm.pos), ("joint_commands", arm.command)):

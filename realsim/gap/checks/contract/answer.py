@@ -94,7 +94,7 @@ def check(contract: Contract, steps: Steps) -> Found:
 
 def _rates(contract: Contract, steps: Steps, notes: list[str]) -> Iterator[Problem]:
     """The log at the rates at which its policy may have run: as logged, where commands change, at its own."""
-    # Between two changes a command is held: such rows are no policy steps, and a broken contract may fit them better.
+    # Between two changes a command stays constant: such rows are no policy steps, yet a broken contract may fit them.
     held = steps.changes > 1.5 * steps.period
     found = [at_changes(steps, 0), at_changes(steps, 1)] if held else [steps]
     count = round(contract.period / steps.period)

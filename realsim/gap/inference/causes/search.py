@@ -65,7 +65,7 @@ class Search:
             self._keep(self.best)
 
     def _prepare(self) -> Fit:
-        """The best set under weights for what it leaves, which hold for all that is looked at beside it."""
+        """The best set under weights of its residual, which are kept for all alternatives."""
         self.best = self.fitter.prepared(self.best)
         self.fitter = self.fitter.under_those_of(self.best)
         return self.best

@@ -128,7 +128,7 @@ def test_mistakes_are_named_one_after_the_other(kinds: set[str], mistake: dict[s
 
 
 def logged_between(steps: Steps, times: int) -> Steps:
-    """The same loop, logged several times a step: readings go on, commands are held."""
+    """The same loop, logged several times a step: readings change, commands stay constant."""
     (run,) = steps.runs
     rows = np.arange(len(run.time))
     fine = np.arange(times * rows[-1] + 1) / times
