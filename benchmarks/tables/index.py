@@ -66,7 +66,6 @@ INDEX = (
     ("How long a diagnosis takes", "gap_times", "python benchmarks/diagnosis/times.py --seed SEED"),
     ("Speed of training", "trainer_speed", "python benchmarks/training/trainer_speed.py"),
     ("Learning on one CPU core", "trainer_cpu", "python benchmarks/training/trainer_cpu.py"),
-    ("First learning rate of fine-tuning", "trainer_tune", "python benchmarks/training/trainer_tune.py"),
     ("Places that repeat, and an unregistered Kinect", "captures", "python benchmarks/scenes/captures.py"),
     ("Loops in places that look alike", "loops", "python benchmarks/scenes/loops.py"),
     (
@@ -158,7 +157,6 @@ KEYS = {
     "scale_error": ("terrain", "seed", "source", "frames"),
     "trainer_cpu": ("case", "seed"),
     "trainer_speed": ("case",),
-    "trainer_tune": ("start", "speed", "seed"),
     "clean_meshes": ("mesh",),
     "recordings": ("part", "name"),
     "ladder": ladder.KEY,

@@ -132,7 +132,6 @@ class Walk:
                 entropy_weight=0.0,
                 desired_kl=0.015,
                 learning_rates=(1e-4, 3e-3),
-                symmetry_weight=0.2,
             ),
             **more,
         )

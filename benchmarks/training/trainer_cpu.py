@@ -67,7 +67,6 @@ def config(folder: Path, iterations: int) -> TrainConfig:
             entropy_weight=0.0,
             desired_kl=0.015,
             learning_rates=(1e-4, 3e-3),  # small batches: the divergence is noisy, and must not stop the learning
-            symmetry_weight=0.2,
         ),
         task=load_task(folder / "task.json"),
     )

@@ -176,21 +176,6 @@ def test_a_checkpoint_that_was_edited_is_refused_before_anything_is_written(
         assert not (tmp_path / "out").exists()
 
 
-def test_a_run_of_the_critic_alone_is_said(
-    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(ppo, "write_onnx", lambda *_: None)
-    base, out = folder / "base" / "policy.pt", folder / "critic"
-    arguments = ["finetune", "flat", "--policy", str(base), "--iterations", "1", "--final-trials", "0", *SMALL]
-    arguments += ["--critic-first", "5", "--task-file", str(folder / "task.json"), "--out", str(out)]
-    assert main(arguments) == 0
-    assert "the policy is its base's" in capsys.readouterr().out
-    before, after = (torch.load(p, weights_only=True) for p in (base, out / "policy.pt"))
-    same = {name: torch.equal(value, before["actor"][name]) for name, value in after["actor"].items()}
-    assert [name for name, equal in same.items() if not equal] == ["log_std"]  # fine-tuning begins with less noise
-    assert not all(torch.equal(value, before["critic"][name]) for name, value in after["critic"].items())
-
-
 def test_task_files(tmp_path: Path) -> None:
     path = tmp_path / "task.json"
     path.write_text('{"command": {"speed": 0.5}, "depth": {"latency": [1, 3]}, "self_collision": true}')

@@ -16,9 +16,6 @@ from trainer.ppo.networks import Critic
 from trainer.ppo.storage import Batch, Rollout
 from trainer.tasks import Observation
 
-Loss = Callable[[nn.Module, Batch], Tensor]
-"""A further loss () of policy and batch, such as that of symmetry."""
-
 Augment = Callable[[Batch], Batch]
 """Further samples made from those of a batch, such as their mirror images; the same number."""
 
@@ -39,7 +36,6 @@ class PPO:
         policy: mean action of (vector, depth), with `log_std`; only parameters that require a gradient are changed.
         critic: value of an observation.
         config: see `PPOConfig`.
-        extra: further losses by name, each with its weight.
         augment: adds samples to every minibatch.
         tuned: the policy is a base to be fine-tuned: it begins with a smaller learning rate (`PPOConfig.first_rate`).
 
@@ -51,7 +47,6 @@ class PPO:
         policy: nn.Module,
         critic: Critic,
         config: PPOConfig,
-        extra: Mapping[str, tuple[float, Loss]] | None = None,
         *,
         augment: Augment | None = None,
         tuned: bool = False,
@@ -59,7 +54,6 @@ class PPO:
         self.policy, self.critic, self.config, self.tuned = policy, critic, config, tuned
         self.augment = augment
         self.limit_noise(0)
-        self.extra = dict(extra or {})
         self.actor_parameters = [p for p in policy.parameters() if p.requires_grad]
         self.critic_parameters = list(critic.parameters())
         device = self.critic_parameters[0].device
@@ -98,16 +92,13 @@ class PPO:
         variance = all_sum((a - mean).square().sum()) / (n - 1)
         a.sub_(mean).div_(variance.sqrt() + 1e-8)
 
-    def update(self, rollout: Rollout, generator: torch.Generator, critic_only: bool = False) -> dict[str, Tensor]:
-        """All epochs over a finished rollout; the mean of every loss, on the device.
-
-        With `critic_only` the policy stays as it is, its exploration noise included.
-        """
+    def update(self, rollout: Rollout, generator: torch.Generator) -> dict[str, Tensor]:
+        """All epochs over a finished rollout; the mean of every loss, on the device."""
         totals: dict[str, Tensor] = {}
         c = self.config
         for _ in range(c.epochs):
             for batch in rollout.batches(c.minibatches, generator):
-                losses = self._critic_gradients(batch) if critic_only else self._gradients(batch)
+                losses = self._gradients(batch)
                 average_gradients([*self.actor_parameters, *self.critic_parameters])
                 losses["gradient/policy"] = nn.utils.clip_grad_norm_(self.actor_parameters, c.max_gradient)
                 losses["gradient/critic"] = nn.utils.clip_grad_norm_(self.critic_parameters, c.max_gradient)
@@ -130,10 +121,8 @@ class PPO:
         c = self.config
         own = len(batch.action)  # samples that were acted on; an augmentation adds others after them
         batch = batch if self.augment is None else self.augment(batch)
-        with torch.autocast(batch.action.device.type, torch.bfloat16, enabled=c.bfloat16):
-            mean = self.policy(batch.observation.actor, batch.observation.depth)
-            value = self.critic.of(batch.observation)
-        mean, value, log_std = mean.float(), value.float(), self.log_std
+        mean = self.policy(batch.observation.actor, batch.observation.depth)
+        value, log_std = self.critic.of(batch.observation), self.log_std
         kl = gaussian.divergence(batch.mean[:own], batch.log_std, mean[:own].detach(), log_std.detach())
         kl = all_mean(kl.mean())
         if c.schedule == "adaptive":
@@ -151,27 +140,9 @@ class PPO:
             "kl": kl,
             "clip_fraction": clipped,
         }
-        for name, (weight, extra) in self.extra.items():
-            losses[name] = extra(self.policy, batch)
-            loss = loss + weight * losses[name]
         self.optimiser.zero_grad()
         loss.backward()
         return {name: value.detach() for name, value in losses.items()}
-
-    def _critic_gradients(self, batch: Batch) -> dict[str, Tensor]:
-        """Of the squared error of the value: parameters of the policy get none, and the optimiser passes them over.
-
-        The value is not clipped: it may be far off, and nobody acts on it yet.
-        """
-        c = self.config
-        with torch.autocast(batch.action.device.type, torch.bfloat16, enabled=c.bfloat16):
-            value = self.critic.of(batch.observation)
-        value_loss = (value.float() - batch.returns).square().mean()
-        self.optimiser.zero_grad()
-        (c.value_weight * value_loss).backward()
-        nothing = torch.zeros_like(value_loss.detach())
-        names = ("policy_loss", "entropy", "kl", "clip_fraction", *self.extra)
-        return {"value_loss": value_loss.detach(), **dict.fromkeys(names, nothing)}
 
     def _adapt(self, kl: Tensor) -> None:
         """Learning rate after the KL divergence of the last gradient step, without waiting for the device."""

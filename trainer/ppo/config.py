@@ -91,8 +91,6 @@ class PPOConfig:
     learning_rate: float | None = None
     """Learning rate at the start; if not given, 1e-3 for a new policy and 1e-4 for fine-tuning. On a resume, a
     different value replaces the saved one."""
-    critic_first: int = 0
-    """Iterations at the start in which only the critic learns, for a base whose critic knows other terrain."""
     schedule: Literal["adaptive", "fixed"] = "adaptive"
     """Whether the learning rate follows the KL divergence between the policies before and after."""
     desired_kl: float = 0.01
@@ -104,13 +102,8 @@ class PPOConfig:
     gives it the policy's."""
     max_gradient: float = 1.0
     """Gradient norms above this are scaled down, of policy and critic each on its own."""
-    symmetry: Literal["none", "loss", "augmentation"] = "augmentation"
-    """Left-right symmetry: a loss, or every sample a second time mirrored (Mittal et al. 2024). In equal
-    time the second learned faster (training/g1/README.md)."""
-    symmetry_weight: float = 0.5
-    """Weight of the symmetry loss."""
-    bfloat16: bool = False
-    """Run the networks of the update in bfloat16 (GPU)."""
+    symmetry: Literal["none", "augmentation"] = "augmentation"
+    """Left-right symmetry: every sample a second time mirrored (Mittal et al. 2024)."""
     networks: NetworkConfig = field(default_factory=NetworkConfig)
     prior: AmpConfig = field(default_factory=AmpConfig)
 
@@ -119,7 +112,7 @@ class PPOConfig:
             self,
             above=dict.fromkeys(("gamma", "clip", "learning_rate", "std_limits"), 0),
             least=dict.fromkeys(("steps", "epochs", "minibatches"), 1)
-            | dict.fromkeys(("lam", "std_iterations", "critic_first", "critic_rate"), 0),
+            | dict.fromkeys(("lam", "std_iterations", "critic_rate"), 0),
             most={"gamma": 1, "lam": 1},
         )
 

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from trainer.errors import TrainerError
 from trainer.graphs import Graph, places, room
-from trainer.ppo.algorithm import PPO, Action, Augment, Loss, bootstrap
+from trainer.ppo.algorithm import PPO, Action, Augment, bootstrap
 from trainer.ppo.amp import StylePrior
 from trainer.ppo.config import PPOConfig
 from trainer.ppo.distributed import Rank, all_sum, broadcast, gather
@@ -30,7 +30,6 @@ class Runner:
         rank: which of the processes this is.
         seed: of the action noise and the shuffling; each rank draws its own.
         prior: the style prior, if motion is to look like a reference.
-        extra: further losses by name, each with its weight.
         augment: adds samples to every minibatch.
         groups: joints by part of the body, whose noise is logged by itself.
     """
@@ -44,7 +43,6 @@ class Runner:
         rank: Rank,
         seed: int = 0,
         prior: StylePrior | None = None,
-        extra: Mapping[str, tuple[float, Loss]] | None = None,
         augment: Augment | None = None,
         groups: Mapping[str, Sequence[int]] | None = None,
     ) -> None:
@@ -55,7 +53,7 @@ class Runner:
             torch.set_float32_matmul_precision("high")  # TF32: the noise of PPO is far above its rounding
             torch.backends.cudnn.benchmark = True  # the same few shapes over and over
         broadcast(policy.actor, policy.critic, None if prior is None else prior.layers)
-        self.ppo = PPO(policy.actor, policy.critic, config, extra, augment=augment, tuned=bool(policy.tuned))
+        self.ppo = PPO(policy.actor, policy.critic, config, augment=augment, tuned=bool(policy.tuned))
         self.groups = dict(groups or {})
         self.rollout = Rollout(config.steps, env.num_worlds, env.layout, rank.device)
         self.rng = torch.Generator(rank.device).manual_seed(seed * 1009 + rank.index)
@@ -84,7 +82,7 @@ class Runner:
         log = self._collect()
         self._wait()
         collected = time.perf_counter()
-        losses = self.ppo.update(self.rollout, self.rng, critic_only=self.iteration < self.config.critic_first)
+        losses = self.ppo.update(self.rollout, self.rng)
         std = self.ppo.log_std.detach().exp()
         losses |= {f"std/{name}": std[list(joints)].mean() for name, joints in self.groups.items()}
         if self.prior is not None:

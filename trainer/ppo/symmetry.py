@@ -1,4 +1,4 @@
-"""Left-right symmetry, taught by a loss or by samples: what the policy does in the mirror is its mirror image."""
+"""Left-right symmetry, taught by samples: what the policy does in the mirror is its mirror image."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Protocol
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from trainer.ppo.storage import Batch
 from trainer.tasks import Observation
@@ -20,20 +20,6 @@ class Mirror(Protocol):
 
     def action(self, a: Tensor) -> Tensor:
         """(N, J) the mirrored actions."""
-
-
-class SymmetryLoss:
-    """Mean squared difference between the action in the mirror and the mirrored action (Yu et al. 2018, equation 4)."""
-
-    def __init__(self, mirror: Mirror) -> None:
-        self.mirror = mirror
-
-    def __call__(self, policy: nn.Module, batch: Batch) -> Tensor:
-        o, own = batch.observation, len(batch.action)
-        mirrored = self.mirror.observation(o)
-        both = policy(torch.cat([o.actor, mirrored.actor]), _joined(o.depth, mirrored.depth))
-        # The target is held fixed: both sides moving would let the loss pull a good action to a bad one's image.
-        return (both[own:] - self.mirror.action(both[:own].detach())).square().mean()
 
 
 class MirrorSamples:

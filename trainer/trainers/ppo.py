@@ -16,12 +16,11 @@ from trainer.evaluate import EvaluationConfig, Setting, run, trial_env
 from trainer.physics import PhysicsConfig
 from trainer.ppo import checkpoint, export, loop
 from trainer.ppo import policy as policies
-from trainer.ppo.algorithm import Augment, Loss
 from trainer.ppo.amp import StylePrior
 from trainer.ppo.distributed import Rank, ranks
 from trainer.ppo.policy import Policy
 from trainer.ppo.runner import Runner
-from trainer.ppo.symmetry import MirrorSamples, SymmetryLoss
+from trainer.ppo.symmetry import MirrorSamples
 from trainer.robots import named
 from trainer.tasks.parkour import ParkourConfig, ParkourEnv, make
 from trainer.tasks.parkour.terminations import SUCCESS
@@ -65,6 +64,7 @@ def train(scene: Scene, policy: Path | None, config: TrainConfig, out: Path) -> 
                 onnx = write_onnx(out / "policy.onnx", delivered, plan.task, runner.env.policy_dt)
             except MissingExtraError as error:  # a training machine need not be able to export; the checkpoint is there
                 warnings.append(f"no policy.onnx was written: {error.message}; {error.hint}")
+    untouched = ("nothing was trained: the target was reached before the first iteration",)
     return TrainResult(
         policy=out / "policy.pt",
         onnx=onnx,
@@ -74,7 +74,7 @@ def train(scene: Scene, policy: Path | None, config: TrainConfig, out: Path) -> 
         evaluations=tuple(history.evaluations),
         worlds=plan.worlds,
         seconds=time.perf_counter() - began,
-        warnings=(*warnings, *runner.env.warnings, *history.notes, *_untouched(runner)),
+        warnings=(*warnings, *runner.env.warnings, *history.notes, *(() if runner.iteration else untouched)),
     )
 
 
@@ -110,7 +110,6 @@ def start(scene: Scene, file: Path | None, plan: Plan, rank: Rank) -> Runner:
     else:
         policy = learner(file, plan, env)
     policies.check_layout(policy.layout, env.layout, str(config.resume or ""))
-    losses, augment = _symmetry(config, env)
     return Runner(
         env,
         policy,
@@ -118,8 +117,7 @@ def start(scene: Scene, file: Path | None, plan: Plan, rank: Rank) -> Runner:
         rank=rank,
         seed=config.seed,
         prior=_prior(plan, env),
-        extra=losses,
-        augment=augment,
+        augment=MirrorSamples(env.mirror) if config.ppo.symmetry == "augmentation" else None,
         groups=named(plan.robot).groups,
     )
 
@@ -201,18 +199,6 @@ def _refuse_another_strategy(policy: Policy, config: TrainConfig) -> None:
         )
 
 
-def _untouched(runner: Runner) -> tuple[str, ...]:
-    """That the policy is still its base's, if so."""
-    if runner.iteration == 0:
-        return ("nothing was trained: the target was reached before the first iteration",)
-    if runner.iteration > runner.config.critic_first:
-        return ()
-    return (
-        f"the policy is its base's: in the first {runner.config.critic_first} iterations only the critic learns "
-        "(--critic-first), and there were no more",
-    )
-
-
 def _with_fewer_worlds(plan: Plan, error: RuntimeError, rank: Rank) -> Plan:
     """The plan with half the worlds if memory ran out; any other error goes on its way."""
     if not (isinstance(error, torch.OutOfMemoryError) or "out of memory" in str(error).lower()):
@@ -234,9 +220,3 @@ def _prior(plan: Plan, env: ParkourEnv) -> StylePrior | None:
 
     features = reference(named(plan.robot), env.policy_dt).to(env.device)
     return StylePrior(features, settings, env.policy_dt)
-
-
-def _symmetry(config: TrainConfig, env: ParkourEnv) -> tuple[dict[str, tuple[float, Loss]], Augment | None]:
-    kind, weight = config.ppo.symmetry, config.ppo.symmetry_weight
-    losses: dict[str, tuple[float, Loss]] = {"symmetry": (weight, SymmetryLoss(env.mirror))} if kind == "loss" else {}
-    return losses, MirrorSamples(env.mirror) if kind == "augmentation" else None

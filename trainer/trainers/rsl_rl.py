@@ -120,7 +120,6 @@ def algorithm(
         max_grad_norm=config.max_gradient,
         schedule=config.schedule,
         desired_kl=config.desired_kl,
-        use_mixed_precision=config.bfloat16,
         symmetry_cfg=_symmetry(config, mirror),
         device=device,
     )
@@ -144,9 +143,9 @@ def _symmetry(config: PPOConfig, mirror: Mirror | None) -> dict[str, Any] | None
     return {
         "env": None,
         "data_augmentation_func": both,
-        "use_data_augmentation": config.symmetry == "augmentation",
-        "use_mirror_loss": config.symmetry == "loss",
-        "mirror_loss_coeff": config.symmetry_weight,
+        "use_data_augmentation": True,
+        "use_mirror_loss": False,
+        "mirror_loss_coeff": 0.0,
     }
 
 
@@ -244,7 +243,6 @@ def _refuse_what_it_cannot(config: TrainConfig) -> None:
         "several processes (torchrun)": int(os.environ.get("WORLD_SIZE", "1")) > 1,
         "--resume": config.resume is not None,
         "--amp": config.ppo.prior.amp,
-        "--critic-first": config.ppo.critic_first > 0,
     }
     asked = [name for name, wanted in cannot.items() if wanted]
     if asked:

@@ -1,4 +1,4 @@
-"""The task seen in a mirror: left and right swapped. Used for the symmetry loss and to test the observations."""
+"""The task seen in a mirror: left and right swapped. Used for mirror samples and to test the observations."""
 
 from __future__ import annotations
 
