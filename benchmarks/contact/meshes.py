@@ -1,7 +1,7 @@
 """Every collision representation against the exact mesh: error, cost and build time.
 
     python -m benchmarks.contact.meshes [--names stakes beams] [--representations boxes hull] [--seconds 170] [--again]
-                                 [--row-seconds 600] [--build]
+                                 [--row-seconds 600]
 
 Terrains: the ten of `tests/truths/solids.py`; the true meshes of the captures where they are found; and what `realsim
 reconstruct` makes of those captures, against the truth. Baselines: the naive mesh (`hull`), plain height fields of 2
@@ -11,8 +11,7 @@ and 5 cm, CoACD with its own defaults as obj2mjcf calls it. Errors are measured 
 Rows are written to benchmarks/results/contact.json as they are done, and those that are there are not done again: a run
 may be cut off, or stopped by --seconds, and goes on where it was. Every row has a process of its own, which is stopped
 after --row-seconds of processor time; that it was is then its row. Representations that take minutes are tried on the
-terrains of EXPENSIVE only. --build adds how long the whole of `auto` takes on meshes of 100k triangles
-(`benchmarks/contact/contact_build.py`).
+terrains of EXPENSIVE only.
 """
 
 from __future__ import annotations
@@ -35,7 +34,6 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from benchmarks.contact.contact_build import build_table, build_times
 from benchmarks.store import Store
 from realsim.core.files import read_json
 from realsim.core.types import MeshQuality, TerrainMesh
@@ -252,13 +250,13 @@ def wanted(terrain_name: str, representations: Iterable[str]) -> list[str]:
     return [r for r in representations if terrain_name in EXPENSIVE.get(r, (terrain_name,))]
 
 
-def save(store: Store, names: Iterable[str], build: list[Row]) -> dict[str, list[str]]:
+def save(store: Store, names: Iterable[str]) -> dict[str, list[str]]:
     """Write the rows with their table and what is still to be measured; returns that, {terrain: representations}."""
     done = {(r["terrain"], r["representation"]) for r in store.rows}
     missing = {n: [r for r in wanted(n, REPRESENTATIONS) if (n, r) not in done] for n in names}
     missing = {n: some for n, some in missing.items() if some}
     what = "ball of 1 cm, 2000 lowered"
-    store.facts = {"probe": what, "missing": missing, "summary": summary(store.rows), "build_s_100k": build}
+    store.facts = {"probe": what, "missing": missing, "summary": summary(store.rows)}
     store.save()
     return missing
 
@@ -273,7 +271,6 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=float("inf"), help="begin no row after this time")
     parser.add_argument("--row-seconds", type=int, default=600, help="processor time that a row may take")
     parser.add_argument("--again", action="store_true", help="do the rows anew that are there already")
-    parser.add_argument("--build", action="store_true", help="time the whole of `auto` on meshes of 100k triangles")
     args = parser.parse_args()
     cases: dict[str, Callable[[], Case]] = {name: partial(generated, name) for name in TERRAINS}
     for gt in sorted((args.shared / "captures").glob("*/gt")):
@@ -281,7 +278,6 @@ def main() -> None:
         cases[gt.parent.name + RECONSTRUCTED] = partial(reconstructed, gt.parent)
     began = time.monotonic()
     store = Store(args.out, ("terrain", "representation"))
-    build = build_times(args.shared) if args.build else store.facts.get("build_s_100k", [])
     for name in args.names or cases:
         todo = [
             r
@@ -298,14 +294,13 @@ def main() -> None:
             known = chosen if chosen.get("chosen") == representation else None
             row = store.add(limited(args.row_seconds, case, representation, known))
             print(line(row), file=sys.stderr, flush=True)
-            save(store, cases, build)
-    missing = save(store, cases, build)
+            save(store, cases)
+    missing = save(store, cases)
     print(HEADER)
     print("\n".join(line(r) for r in store.rows))
     print("\nThe worst of the meshes that each was tried on:\n")
     print("\n".join(summary(store.rows)))
     print("\nThe whole of `auto` on meshes of about 100k triangles:\n")
-    print("\n".join(build_table(build)))
     print("\nNot measured: " + ("; ".join(f"{k}: {', '.join(v)}" for k, v in missing.items()) or "nothing"))
 
 

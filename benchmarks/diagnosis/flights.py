@@ -11,7 +11,6 @@ the air; three without the yaw in their log (propeller cut by 3 mm, E8) are not.
 
 from __future__ import annotations
 
-import argparse
 import os
 import shutil
 import sys
@@ -25,7 +24,7 @@ from scipy.ndimage import uniform_filter1d
 
 from benchmarks.diagnosis.hardware.logs import write_case, write_windows
 from benchmarks.diagnosis.pool import Job, diagnose_all, read
-from benchmarks.diagnosis.put_in import sizes
+from benchmarks.diagnosis.put_in import options, sizes
 from benchmarks.diagnosis.real import NAMES
 from benchmarks.store import Row, Store
 from realsim.core.files import to_json, write_text
@@ -59,13 +58,8 @@ SORTS = {"payload": "mass", "com_offset": "mass", "thrust_gain": "thrust"}
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = options(__doc__, "out/gap_flights")
     parser.add_argument("--shared", type=Path, default=Path(os.environ.get("REALSIM_SHARED", "../shared")))
-    parser.add_argument("--only", nargs="*", help="only flights whose name holds one of these")
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--minutes", type=float, default=float("inf"), help="start no case after this many minutes")
-    parser.add_argument("--work", type=Path, default=Path("out/gap_flights"))
-    parser.add_argument("--store", type=Path, help="rows (default: rows.json in --work)")
     args = parser.parse_args()
     wanted = jobs(args.shared, args.work)
     wanted = {n: job for n, job in wanted.items() if not args.only or any(o in n for o in args.only)}

@@ -31,7 +31,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from benchmarks.diagnosis.score import hit, same
+from benchmarks.diagnosis.score import hit, same, short
 from benchmarks.store import Store
 from realsim.core.errors import RealsimError
 from realsim.core.files import to_json, write_text
@@ -170,14 +170,10 @@ def decided(folder: Path, real: Real, experiment: Experiment, label: list[dict[s
 
 def said(found: dict[str, Any], label: list[dict[str, Any]]) -> dict[str, Any]:
     """Verdict and causes in short, and whether they are the truth alone."""
-    sets = [[_short(c) for c in s] for s in (found["causes"], *found["equivalent"])]
+    sets = [[short(c) for c in s] for s in (found["causes"], *found["equivalent"])]
     right = found["verdict"] == "identified" and same(found["causes"], label)
     named = any(any(hit(c, t) for c in s) for t in label for s in (found["causes"], *found["equivalent"]))
     return {"verdict": found["verdict"], "right": right, "named": named, "causes": sets}
-
-
-def _short(cause: dict[str, Any]) -> str:
-    return f"{cause['effect']}@{'+'.join(cause.get('joints') or cause.get('bodies') or [])}"
 
 
 def one_case(seed: int, index: int) -> dict[str, Any]:
@@ -190,7 +186,7 @@ def one_case(seed: int, index: int) -> dict[str, Any]:
         if drawn is None:
             return row | {"verdict": "not drawn"}
         real, label = drawn
-        row |= {"robot": real.robot.name, "truth": [_short(t) for t in label]}
+        row |= {"robot": real.robot.name, "truth": [short(t) for t in label]}
         try:
             case = load_case(folder)
             found = diagnose(case, SETTINGS).as_dict()

@@ -28,9 +28,8 @@ class Job:
     """A folder; diagnosis.json in it is the answer, refused.json the reason why there is none."""
     settings: dict[str, Any] = field(default_factory=dict)
     """Of DiagnoseConfig, where they are not the defaults."""
-    without: str = ""
-    """`module:function` of the engine that is taken out (it proposes nothing), or `module:FIGURE=value` that it has
-    instead; several with commas between them."""
+    figure: str = ""
+    """`module:FIGURE=value` that the engine has instead of its own."""
     seconds: int = 0
     """CPU time after which it counts as crashed; 0: it may take as long as it takes."""
     since: Path | None = None
@@ -43,7 +42,7 @@ def diagnose_all(jobs: Sequence[Job], processes: int, minutes: float = float("in
     began, done = time.monotonic(), 0
     os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     print(f"{len(jobs)} cases, {len(jobs) - len(todo)} of them answered by this engine before", flush=True)
-    # A process a case: none inherits what another one took out of the engine.
+    # A process a case: none inherits another one's figure.
     pool = ProcessPoolExecutor(processes, mp_context=get_context("spawn"), max_tasks_per_child=1)
     try:
         waiting, running = list(reversed(todo)), set()
@@ -83,38 +82,17 @@ def _provenance(job: Job) -> dict[str, Any]:
     from realsim.gap.provenance import provenance
 
     found = provenance(DiagnoseConfig(threads=1, report=False, **job.settings))
-    return dict(json.loads(json.dumps(found | ({"without": job.without} if job.without else {}))))
+    return dict(json.loads(json.dumps(found | ({"figure": job.figure} if job.figure else {}))))
 
 
-def _nothing(*_: Any, **__: Any) -> Any:
-    return iter(())
-
-
-def take_out(name: str) -> None:
-    """Replace a function of the engine by one that yields nothing, or a figure by another value, in every module and
-    table that holds it."""
-    module, _, what = name.partition(":")
-    attribute, _, value = what.partition("=")
-    wanted = getattr(importlib.import_module(module), attribute)
+def set_figure(text: str) -> None:
+    """Give a figure of the engine (`module:FIGURE=value`) another value in every module that holds it."""
+    name, _, value = text.partition("=")
+    _, _, figure = name.partition(":")
     importlib.import_module("realsim.gap.pipeline")
-    for holder in [m for n, m in sys.modules.items() if n.startswith("realsim.gap")]:
-        if value:
-            if attribute in vars(holder):
-                setattr(holder, attribute, ast.literal_eval(value))
-            continue
-        for known, held in list(vars(holder).items()):
-            if held is wanted:
-                setattr(holder, known, _nothing)
-            elif isinstance(held, list | tuple) and any(v is wanted for v in held):
-                setattr(holder, known, type(held)(v for v in held if v is not wanted))
-            elif isinstance(held, dict) and any(v is wanted for v in held.values()):
-                setattr(holder, known, {k: v for k, v in held.items() if v is not wanted})
-
-
-def _answer(found: Any) -> dict[str, Any]:
-    """diagnosis.json with the rules' choices where the scorers look for them."""
-    data = found.as_dict()
-    return data | {"baselines": data["statistics"].pop("baselines", {})}
+    for module in [m for n, m in sys.modules.items() if n.startswith("realsim.gap")]:
+        if figure in vars(module):
+            setattr(module, figure, ast.literal_eval(value))
 
 
 def _give_up(seconds: int, *_: Any) -> None:
@@ -123,7 +101,7 @@ def _give_up(seconds: int, *_: Any) -> None:
 
 def _diagnose(job: Job) -> str:
     """Write the answer; return a line of it."""
-    from benchmarks.diagnosis.rules import first_choices
+    from benchmarks.diagnosis.score import short
     from realsim.core.errors import RealsimError
     from realsim.core.files import to_json, write_text
     from realsim.gap import DiagnoseConfig, diagnose, load_case
@@ -133,14 +111,14 @@ def _diagnose(job: Job) -> str:
     shutil.rmtree(job.out, ignore_errors=True)
     job.out.mkdir(parents=True)
     name = f"{job.out.parent.name}/{job.out.name}"
-    for name_of_part in filter(None, job.without.split(",")):
-        take_out(name_of_part)
+    if job.figure:
+        set_figure(job.figure)
     signal.signal(signal.SIGPROF, partial(_give_up, job.seconds))
     signal.setitimer(signal.ITIMER_PROF, job.seconds)
     try:
         config = DiagnoseConfig(threads=1, report=False, **job.settings)
         case = load_case(job.case)
-        found = diagnose(case, config, look=first_choices)
+        found = diagnose(case, config)
         if job.since is not None:
             both = [limited(c, config) for c in (case, load_case(job.since))]
             found = replace(found, since=changed_since(*both, config).as_dict())
@@ -152,6 +130,5 @@ def _diagnose(job: Job) -> str:
         refusal = {"verdict": "crashed", "causes": [], "equivalent": [], "said": repr(error)}
         write_text(job.out / "refused.json", to_json(refusal | {"provenance": _provenance(job)}))
         return f"{name} CRASHED: {error!r}"
-    write_text(job.out / "diagnosis.json", to_json(_answer(found) | {"provenance": _provenance(job)}))
-    said = ", ".join(f"{c['effect']}@{'+'.join(c.get('joints') or c.get('bodies') or [])}" for c in found.causes)
-    return f"{name} {found.verdict} {said} ({found.cost['seconds']:.0f} s)"
+    write_text(job.out / "diagnosis.json", to_json(found.as_dict() | {"provenance": _provenance(job)}))
+    return f"{name} {found.verdict} {', '.join(map(short, found.causes))} ({found.cost['seconds']:.0f} s)"

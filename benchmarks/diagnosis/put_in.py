@@ -15,6 +15,7 @@ import json
 import os
 import sys
 from collections import Counter
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from benchmarks.diagnosis.pool import Job, diagnose_all, read
 from benchmarks.diagnosis.real import NAMES, accepted_sets, row
-from benchmarks.diagnosis.score import hit
+from benchmarks.diagnosis.score import hit, short
 from benchmarks.store import Store
 from realsim.gap.provenance import engine
 
@@ -48,29 +49,48 @@ LOGS = {
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = options(__doc__, "out/gap_put_in")
     parser.add_argument("--shared", type=Path, default=Path(os.environ.get("REALSIM_SHARED", "../shared")))
-    parser.add_argument("--only", nargs="*", help="only these cases")
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--minutes", type=float, default=float("inf"), help="start no case after this many minutes")
-    parser.add_argument("--work", type=Path, default=Path("out/gap_put_in"))
-    parser.add_argument("--store", type=Path, help="rows (default: rows.json in --work)")
     args = parser.parse_args()
     cases = {n: c for n, c in labelled(args.shared).items() if not args.only or n in args.only}
     if not cases:
         print(f"{args.shared} holds none of the cases: --shared says where they lie", file=sys.stderr)
         return 2
     jobs = {n: Job(folder, args.work / engine() / n) for n, (folder, _) in cases.items()}
-    diagnose_all(list(jobs.values()), args.jobs, args.minutes)
     store = Store(args.store or args.work / "rows.json", ("case", "engine", "settings"))
+    answer_all(args, jobs, {n: label for n, (_, label) in cases.items()}, store)
+    return 0
+
+
+def options(about: str | None, work: str) -> argparse.ArgumentParser:
+    """What every benchmark of labelled cases takes."""
+    parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", nargs="*", help="only these cases")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--minutes", type=float, default=float("inf"), help="start no case after this many minutes")
+    parser.add_argument("--work", type=Path, default=Path(work))
+    parser.add_argument("--store", type=Path, help="rows (default: rows.json in --work)")
+    return parser
+
+
+def answer_all(
+    args: argparse.Namespace,
+    jobs: Mapping[str, Job],
+    labels: Mapping[str, Row],
+    store: Store,
+    kept: Callable[[str, Row], Row] = lambda name, row: row,
+) -> None:
+    """Diagnose what is not answered yet, print and store a line a case (as `kept` changes its row), and count them."""
+    diagnose_all(list(jobs.values()), args.jobs, args.minutes)
     rows = []
-    for name, (_, label) in cases.items():
-        if (answer := read(jobs[name])) is not None:
-            rows.append(store.add(scored(name, label, answer)))
-            print(line(rows[-1]))
+    for name, job in jobs.items():
+        if (answer := read(job)) is not None:
+            row = scored(name, labels[name], answer)
+            changed = kept(name, row)
+            print(line(row | changed))
+            rows.append(store.add(changed))
     count = Counter(r["judged"] for r in rows if r["judged"] != "not visible")
     print(f"engine {engine()}, {len(rows)} cases: " + ", ".join(f"{n} {what}" for what, n in count.most_common()))
-    return 0
 
 
 def labelled(shared: Path) -> dict[str, tuple[Path, Row]]:
@@ -120,7 +140,7 @@ def sizes(answer: Row) -> list[str]:
             f"{n}={p.get('value', p.get('now')):.3g}" + ("[{:.3g},{:.3g}]".format(*p["ci90"]) if p.get("ci90") else "")
             for n, p in c["parameters"].items()
         )
-        found.append(f"{c['effect']}@{'+'.join(c.get('joints') or c.get('bodies') or [])} {values}")
+        found.append(f"{short(c)} {values}")
     return found
 
 

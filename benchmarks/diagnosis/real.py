@@ -33,7 +33,7 @@ from benchmarks.diagnosis.hardware.bench import Baseline, Bench, applied, draw, 
 from benchmarks.diagnosis.hardware.errors import errors
 from benchmarks.diagnosis.hardware.logs import LOGS
 from benchmarks.diagnosis.pool import Job, diagnose_all, read
-from benchmarks.diagnosis.score import MixedEnginesError, hit, one_engine, same
+from benchmarks.diagnosis.score import MixedEnginesError, hit, one_engine, same, share, short, table
 from benchmarks.store import Store
 from realsim.core.files import to_json, write_text
 
@@ -142,15 +142,15 @@ def _made(todo: tuple[str, Path, Path, dict[str, Any], int, int, int]) -> str:
     (work / "labels").mkdir(parents=True, exist_ok=True)
     write_text(work / "labels" / f"{case_name}.json", to_json(label))
     return (
-        f"{case_name}: {' + '.join(_short(e) for e in drawn.labels) or 'none'} visible {np.round(drawn.visibility, 1)}"
+        f"{case_name}: {' + '.join(short(e) for e in drawn.labels) or 'none'} visible {np.round(drawn.visibility, 1)}"
     )
 
 
 def _class(index: int, count: int) -> str:
     """Spread evenly over the indices, in the shares above."""
     place, total = ((index * 7) % count + 0.5) / count, 0.0
-    for name, share in SHARES.items():
-        total += share
+    for name, part in SHARES.items():
+        total += part
         if place < total:
             return name
     return "double"
@@ -180,7 +180,7 @@ def store_and_score(args: argparse.Namespace, labels: Mapping[str, Row]) -> int:
         print(f"{len(labels) - len(answers)} of {len(labels)} cases have no answer yet: they are left out")
     store = Store(args.store or args.work / "rows.json", ("case", "engine", "settings"))
     rows = [store.add(row(n, labels[n], answers[n])) for n in answers]
-    print(f"engine {made_by.get('engine')}, {args.part}, {len(rows)} cases\n{table(figures(rows))}")
+    print(f"engine {made_by.get('engine')}, {args.part}, {len(rows)} cases\n{table(figures(rows), BARS)}")
     return 0
 
 
@@ -197,12 +197,12 @@ def row(name: str, label: Row, answer: Row) -> Row:
         "log": label["log"],
         "part": label["part"],
         "cls": label["cls"],
-        "truth": [_short(e) for e in label["effects"]],
-        "alike": [[_short(e) for e in alike] for alike in label["alike"]],
+        "truth": [short(e) for e in label["effects"]],
+        "alike": [[short(e) for e in alike] for alike in label["alike"]],
         "visibility": label["visibility"],
         "verdict": answer["verdict"],
-        "causes": [_short(c) for c in answer["causes"]],
-        "equivalent": [[_short(c) for c in s] for s in answer["equivalent"]],
+        "causes": [short(c) for c in answer["causes"]],
+        "equivalent": [[short(c) for c in s] for s in answer["equivalent"]],
         "first_right": first is not None and any(hit(first, t) for s in accepted for t in s),
         "all_right": bool(answer["causes"])
         and all(any(hit(c, t) for s in accepted for t in s) for c in answer["causes"]),
@@ -231,27 +231,27 @@ def figures(rows: Sequence[Row]) -> dict[str, Any]:
     single, double = ([r for r in rows if r["cls"] == c] for c in ("single", "double"))
     named = [r for r in put_in if r["verdict"] in NAMES]
     out: dict[str, Any] = {
-        "confident_and_wrong": _share(r["verdict"] == "identified" and not r["first_right"] for r in put_in),
-        "first_right": _share(r["verdict"] in NAMES and r["first_right"] for r in put_in),
-        "nothing_put_in_nothing_named": _share(
+        "confident_and_wrong": share(r["verdict"] == "identified" and not r["first_right"] for r in put_in),
+        "first_right": share(r["verdict"] in NAMES and r["first_right"] for r in put_in),
+        "nothing_put_in_nothing_named": share(
             r["verdict"] == "no_gap" or (not r["causes"] and r["verdict"] != "crashed") for r in nothing
         ),
-        "identified_where_nothing_was_put_in": _share(r["verdict"] == "identified" for r in nothing),
-        "first_right_whatever_the_verdict": _share(r["first_right"] for r in put_in),
-        "single_first_right": _share(r["verdict"] in NAMES and r["first_right"] for r in single),
-        "double_both_right": _share(r["verdict"] in NAMES and r["set_right"] for r in double),
-        "set_right_or_among_equivalents": _share(r["set_among_equivalents"] for r in put_in),
-        "right_where_a_cause_is_named": _share(r["first_right"] for r in named),
-        "missed": _share(r["verdict"] == "no_gap" for r in put_in),
-        "refused_or_crashed": _share(r["verdict"] in ("refused", "crashed") for r in rows),
+        "identified_where_nothing_was_put_in": share(r["verdict"] == "identified" for r in nothing),
+        "first_right_whatever_the_verdict": share(r["first_right"] for r in put_in),
+        "single_first_right": share(r["verdict"] in NAMES and r["first_right"] for r in single),
+        "double_both_right": share(r["verdict"] in NAMES and r["set_right"] for r in double),
+        "set_right_or_among_equivalents": share(r["set_among_equivalents"] for r in put_in),
+        "right_where_a_cause_is_named": share(r["first_right"] for r in named),
+        "missed": share(r["verdict"] == "no_gap" for r in put_in),
+        "refused_or_crashed": share(r["verdict"] in ("refused", "crashed") for r in rows),
     }
     for key in ("log", "verdict"):
         out[f"first_right_by_{key}"] = {
-            v: _share(r["first_right"] for r in put_in if r[key] == v) for v in sorted({r[key] for r in put_in})
+            v: share(r["first_right"] for r in put_in if r[key] == v) for v in sorted({r[key] for r in put_in})
         }
     kinds = sorted({r["truth"][0].split("@")[0] for r in single})
     out["first_right_by_effect"] = {
-        k: _share(r["first_right"] for r in single if r["truth"][0].startswith(f"{k}@")) for k in kinds
+        k: share(r["first_right"] for r in single if r["truth"][0].startswith(f"{k}@")) for k in kinds
     }
     out["verdicts"] = {
         c: {v: sum(r["verdict"] == v for r in group) for v in sorted({r["verdict"] for r in group})}
@@ -281,30 +281,6 @@ BARS = {
     "first_right": ">= 0.75",
     "nothing_put_in_nothing_named": ">= 0.80",
 }
-
-
-def table(figures: Mapping[str, Any]) -> str:
-    """The figures for people."""
-    lines = []
-    for name, value in figures.items():
-        bar = f"   (bar {BARS[name]})" if name in BARS else ""
-        if isinstance(value, list) and len(value) == 2 and all(isinstance(v, int) for v in value):
-            text = f"{value[0]}/{value[1]}" + (f" = {value[0] / value[1]:.2f}" if value[1] else "")
-        elif isinstance(value, dict):
-            text = ", ".join(f"{k} {'/'.join(map(str, v)) if isinstance(v, list) else v}" for k, v in value.items())
-        else:
-            text = str(value)
-        lines.append(f"{name:<36} {text}{bar}")
-    return "\n".join(lines)
-
-
-def _short(cause: Mapping[str, Any]) -> str:
-    return f"{cause['effect']}@{'+'.join(cause.get('joints') or cause.get('bodies') or [])}"
-
-
-def _share(flags: Iterable[bool]) -> list[int]:
-    flags = list(flags)
-    return [int(sum(flags)), len(flags)]
 
 
 if __name__ == "__main__":

@@ -8,10 +8,8 @@ it names no size, the size stands here. The other nine of the eighteen reports a
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,8 +20,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from benchmarks.diagnosis.pool import Job, diagnose_all, read
-from benchmarks.diagnosis.put_in import line, scored
+from benchmarks.diagnosis.pool import Job
+from benchmarks.diagnosis.put_in import answer_all, options
 from benchmarks.store import Store
 from tests.gap.truth import ARM, Truth, make_case
 
@@ -136,33 +134,30 @@ def judged(report: Report, row: dict[str, Any]) -> str:
     return "half" if any(k & w for k in kinds for w in wanted) else "wrong"
 
 
+def label_of(name: str) -> dict[str, Any]:
+    """The label of a report as `scored` takes it."""
+    report = REPORTS[name]
+    effects = [{"effect": e, "joints": None, "bodies": None} for e in report.effects]
+    alike = [[effects[0] | {"effect": other} for other in report.alike]] * bool(effects) + [[]] * (len(effects) - 1)
+    return {"effects": effects, "alike": alike, "visibility": [], "cls": "report", "visible": True, "log": name,
+            "part": "reports"}  # fmt: skip
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--only", nargs="*", choices=list(REPORTS), default=list(REPORTS))
+    parser = options(__doc__, "out/gap_reports")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--work", type=Path, default=Path("out/gap_reports"))
-    parser.add_argument("--store", type=Path, help="rows (default: rows.json in --work)")
     args = parser.parse_args()
     jobs = {}
-    for name in args.only:
+    for name in args.only or REPORTS:
         folder = args.work / f"seed_{args.seed}" / name.replace(" ", "_")
         case = folder / "case" if (folder / "case").is_dir() else make(folder / "case", REPORTS[name], args.seed)
         jobs[name] = Job(case, folder / "answer", seconds=300)
-    diagnose_all(list(jobs.values()), args.jobs)
+
+    def kept(name: str, row: dict[str, Any]) -> dict[str, Any]:
+        return row | {"judged": judged(REPORTS[name], row), "seed": args.seed, "says": REPORTS[name].says}
+
     store = Store(args.store or args.work / "rows.json", ("case", "seed"))
-    for name, job in jobs.items():
-        if (answer := read(job)) is None:
-            continue
-        report = REPORTS[name]
-        effects = [{"effect": e, "joints": None, "bodies": None} for e in report.effects]
-        alike = [[effects[0] | {"effect": other} for other in report.alike]] * bool(effects) + [[]] * (len(effects) - 1)
-        label = {"effects": effects, "alike": alike, "visibility": [], "cls": "report", "visible": True,
-                 "log": name, "part": "reports"}  # fmt: skip
-        found = scored(name, label, answer)
-        found |= {"judged": judged(report, found), "seed": args.seed, "says": report.says}
-        print(line(store.add(found)))
-    print(Counter(r["judged"] for r in store.rows))
+    answer_all(args, jobs, {n: label_of(n) for n in jobs}, store, kept)
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from hashlib import sha256
 from typing import Any
 
@@ -43,6 +43,11 @@ def same(found: list[dict[str, Any]], truth: list[Label]) -> bool:
     return len(found) == len(truth) and all(any(hit(f, t) for f in found) for t in truth)
 
 
+def short(cause: Mapping[str, Any]) -> str:
+    """A cause as rows have it: effect@place+place."""
+    return f"{cause['effect']}@{'+'.join(cause.get('joints') or cause.get('bodies') or [])}"
+
+
 class MixedEnginesError(ValueError):
     """Diagnoses of several engines or settings, which no one figure may pool."""
 
@@ -77,8 +82,8 @@ def score(labels: dict[str, Label], found: dict[str, Diagnosis]) -> dict[str, An
     out: dict[str, Any] = {"provenance": one_engine(found), "diagnosed": [len(found), len(labels)]}
     single = of("single")
     top = [top1(labels[n], found[n]) for n in single]
-    out["single_top1"] = _share(t == 2 for t in top)
-    out["single_top1_with_equivalents"] = _share(t >= 1 for t in top)
+    out["single_top1"] = share(t == 2 for t in top)
+    out["single_top1_with_equivalents"] = share(t >= 1 for t in top)
     out["single_by_robot"] = _by(single, lambda n: labels[n]["robot"], lambda n: top1(labels[n], found[n]) == 2)
     out["single_by_effect"] = _by(
         single, lambda n: labels[n]["effects"][0]["effect"], lambda n: top1(labels[n], found[n]) == 2
@@ -90,27 +95,27 @@ def score(labels: dict[str, Label], found: dict[str, Diagnosis]) -> dict[str, An
         single, lambda n: _visible(labels[n]["visibility"][0]), lambda n: top1(labels[n], found[n]) >= 1
     )
     both = of("double")
-    out["double_both_found"] = _share(
+    out["double_both_found"] = share(
         all(any(hit(c, t) for c in found[n]["causes"]) for t in labels[n]["effects"]) for n in both
     )
-    out["double_both_found_with_equivalents"] = _share(
+    out["double_both_found_with_equivalents"] = share(
         any(all(any(hit(c, t) for c in s) for t in labels[n]["effects"]) for s in _sets(found[n])) for n in both
     )
-    out["double_one_found"] = _share(
+    out["double_one_found"] = share(
         any(any(hit(c, t) for c in found[n]["causes"]) for t in labels[n]["effects"]) for n in both
     )
     named = [(c, labels[n]["effects"]) for n in single + both for c in found[n]["causes"]]
-    out["set_precision"] = _share(any(hit(c, t) for t in truths) for c, truths in named)
+    out["set_precision"] = share(any(hit(c, t) for t in truths) for c, truths in named)
     wanted = [(t, found[n]["causes"]) for n in single + both for t in labels[n]["effects"]]
-    out["set_recall"] = _share(any(hit(c, t) for c in causes) for t, causes in wanted)
-    out["false_alarms"] = _share(found[n]["verdict"] != "no_gap" for n in of("none"))
-    out["missed_gaps"] = _share(found[n]["verdict"] == "no_gap" for n in single + both + of("outside"))
-    out["outside_said"] = _share(reported_unexplained(found[n]) for n in of("outside"))
-    out["confounded_named"] = _share(look_alikes_named(labels[n], found[n]) for n in of("confounded"))
-    out["outside_partly_explained"] = _share(found[n]["verdict"] == "partly_explained" for n in of("outside"))
+    out["set_recall"] = share(any(hit(c, t) for c in causes) for t, causes in wanted)
+    out["false_alarms"] = share(found[n]["verdict"] != "no_gap" for n in of("none"))
+    out["missed_gaps"] = share(found[n]["verdict"] == "no_gap" for n in single + both + of("outside"))
+    out["outside_said"] = share(reported_unexplained(found[n]) for n in of("outside"))
+    out["confounded_named"] = share(look_alikes_named(labels[n], found[n]) for n in of("confounded"))
+    out["outside_partly_explained"] = share(found[n]["verdict"] == "partly_explained" for n in of("outside"))
     causes = [(n, c) for n in sorted(found) for c in found[n]["causes"]]
     out["causes_right_by_verdict"] = {
-        v: _share(any(hit(c, t) for t in labels[n]["effects"]) for n, c in causes if found[n]["verdict"] == v)
+        v: share(any(hit(c, t) for t in labels[n]["effects"]) for n, c in causes if found[n]["verdict"] == v)
         for v in sorted({found[n]["verdict"] for n, _ in causes})
     }
     stated = [(found[n]["verdict"], c["probability"]) for n, c in causes if c.get("probability") is not None]
@@ -120,14 +125,13 @@ def score(labels: dict[str, Label], found: dict[str, Diagnosis]) -> dict[str, An
     }
     errors, held = _parameters(labels, found, single + both)
     out["parameter_error_median"] = float(np.median(errors)) if errors else None
-    out["ci90_holds_truth"] = _share(held)
+    out["ci90_holds_truth"] = share(held)
     right = [n for n in single if top1(labels[n], found[n]) == 2]
     gone = [_gone(found[n]) for n in right]
     out["gap_gone_median_where_right"] = float(np.nanmedian(gone)) if gone else None
     out["verdicts"] = {
         c: _count(found[n]["verdict"] for n in of(c)) for c in ("none", "single", "double", "outside", "confounded")
     }
-    out["baselines"] = _baselines(labels, found, single)
     out["seconds_by_robot"] = _seconds(labels, found)
     out["cases_detail"] = {n: _detail(labels[n], found[n]) for n in sorted(found)}
     return out
@@ -206,26 +210,14 @@ def _gone(d: Diagnosis) -> float:
     return 1 - max(after - 1, 0.0) / (before - 1)
 
 
-def _baselines(labels: dict[str, Label], found: dict[str, Diagnosis], single: list[str]) -> dict[str, Any]:
-    """What simpler rules would have named first, where the diagnosis lists them (`baselines`: rule -> cause)."""
-    rules = sorted({r for n in single for r in (found[n].get("baselines") or {})})
-    return {
-        r: _share(hit(b, labels[n]["effects"][0]) for n in single if (b := (found[n].get("baselines") or {}).get(r)))
-        for r in rules
-    }
-
-
 def _detail(label: Label, d: Diagnosis) -> dict[str, Any]:
-    def short(causes: list[dict[str, Any]]) -> list[str]:
-        return [f"{c['effect']}@{','.join(c.get('joints') or c.get('bodies') or [])}" for c in causes]
-
     return {
         "cls": label["cls"],
         "robot": label["robot"],
-        "truth": short(label["effects"]),
+        "truth": list(map(short, label["effects"])),
         "verdict": d["verdict"],
-        "causes": short(d["causes"]),
-        "equivalent": [short(s) for s in d["equivalent"]][:4],
+        "causes": list(map(short, d["causes"])),
+        "equivalent": [list(map(short, s)) for s in d["equivalent"]][:4],
         "unexplained_share": d.get("unexplained_share"),
         "visibility": [round(v, 1) for v in label.get("visibility", [])],
         "cpu_seconds": d.get("cpu_seconds"),
@@ -248,14 +240,15 @@ def _visible(ratio: float) -> str:
     return "1: below 3" if ratio < 3 else "2: 3 to 10" if ratio < 10 else "3: above 10"
 
 
-def _share(flags: Iterable[bool]) -> list[int]:
+def share(flags: Iterable[bool]) -> list[int]:
+    """[hits, of]."""
     flags = list(flags)
     return [int(sum(flags)), len(flags)]
 
 
 def _by(names: list[str], key: Callable[[str], str], good: Callable[[str], bool]) -> dict[str, list[int]]:
     groups = sorted({key(n) for n in names})
-    return {g: _share(good(n) for n in names if key(n) == g) for g in groups}
+    return {g: share(good(n) for n in names if key(n) == g) for g in groups}
 
 
 def _count(values: Iterable[str]) -> dict[str, int]:
@@ -288,21 +281,21 @@ def _parts(causes: Sequence[str]) -> set[tuple[str, frozenset[str]]]:
     return {(effect, frozenset(re.split(r"[+,]", places))) for effect, _, places in split}
 
 
-def table(figures: dict[str, Any]) -> str:
+def table(figures: Mapping[str, Any], bars: Mapping[str, str] = BARS) -> str:
     """The figures for people; of shares, those that have a case."""
     lines = []
     for name, value in figures.items():
         if name == "provenance":
-            lines.append(f"{name:<30} {_engine(value)}, realsim {value.get('version')}, mujoco {value.get('mujoco')}")
+            lines.append(f"{name:<36} {_engine(value)}, realsim {value.get('version')}, mujoco {value.get('mujoco')}")
             continue
         if name == "cases_detail" or value == [0, 0]:
             continue
-        bar = f"   (bar {BARS[name]})" if name in BARS else ""
+        bar = f"   (bar {bars[name]})" if name in bars else ""
         if isinstance(value, list) and len(value) == 2 and all(isinstance(v, int) for v in value):
             text = f"{value[0]}/{value[1]}" + (f" = {value[0] / value[1]:.2f}" if value[1] else "")
         elif isinstance(value, dict):
-            text = ", ".join(f"{k} {v[0]}/{v[1]}" if isinstance(v, list) else f"{k} {v}" for k, v in value.items())
+            text = ", ".join(f"{k} {'/'.join(map(str, v)) if isinstance(v, list) else v}" for k, v in value.items())
         else:
             text = f"{value:.3f}" if isinstance(value, float) else str(value)
-        lines.append(f"{name:<30} {text}{bar}")
+        lines.append(f"{name:<36} {text}{bar}")
     return "\n".join(lines)

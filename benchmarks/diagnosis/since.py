@@ -24,7 +24,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from benchmarks.diagnosis.score import hit
+from benchmarks.diagnosis.score import hit, short
 from benchmarks.store import Store
 from realsim.core.errors import RealsimError
 from realsim.gap import DiagnoseConfig, load_case
@@ -67,15 +67,15 @@ def one_pair(seed: int, index: int) -> dict[str, Any]:
     began = time.process_time()
     with tempfile.TemporaryDirectory() as work:
         robot, both, changed = record(seed, index, Path(work))
-        row = {"seed": seed, "pair": index, "engine": engine(), "robot": robot, "both": [_short(c) for c in both],
-               "truth": [_short(c) for c in changed]}  # fmt: skip
+        row = {"seed": seed, "pair": index, "engine": engine(), "robot": robot, "both": [short(c) for c in both],
+               "truth": [short(c) for c in changed]}  # fmt: skip
         try:
             today, before = (load_case(Path(work) / name) for name in ("today", "before"))
             found = changed_since(today, before, DiagnoseConfig(threads=1)).as_dict()
         except RealsimError as error:
             return row | {"verdict": "refused", "said": error.message}
     sets = [found["changes"], *found["equivalent"]]
-    row |= {"verdict": found["verdict"], "sets": [[_short(c) for c in s] for s in sets]}
+    row |= {"verdict": found["verdict"], "sets": [[short(c) for c in s] for s in sets]}
     if changed:
         row["alone"] = found["verdict"] == "identified" and len(sets[0]) == 1 and hit(sets[0][0], changed[0])
         row["named"] = any(hit(c, changed[0]) for s in sets for c in s)
@@ -92,10 +92,6 @@ def _holds(sets: list[Any], truth: dict[str, Any]) -> bool | None:
                 ends = next(iter(cause["parameters"].values()))["ci90"]
                 return None if ends is None else bool(ends[0] <= value <= ends[1])
     return None
-
-
-def _short(cause: dict[str, Any]) -> str:
-    return f"{cause['effect']}@{'+'.join(cause.get('joints') or cause.get('bodies') or [])}"
 
 
 def table(rows: list[dict[str, Any]]) -> str:

@@ -9,10 +9,7 @@ this engine has answered is not diagnosed again.
 
 from __future__ import annotations
 
-import argparse
 import json
-import os
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,8 +18,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from benchmarks.diagnosis.pool import Job, diagnose_all, read
-from benchmarks.diagnosis.put_in import line, scored
+from benchmarks.diagnosis.pool import Job
+from benchmarks.diagnosis.put_in import answer_all, options
 from benchmarks.store import Store
 from realsim.gap.provenance import engine
 from tests.truths.small_robots import (
@@ -398,29 +395,20 @@ def judged(label: dict[str, Any], row: dict[str, Any]) -> str:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", nargs="*", default=list(CASES), help="only these cases")
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    parser = options(__doc__, "out/gap_strangers")
+    parser.set_defaults(store=RESULTS)
     parser.add_argument("--seconds", type=int, default=240, help="CPU time of a case; then it counts as crashed")
-    parser.add_argument("--minutes", type=float, default=float("inf"), help="start no case after this many minutes")
-    parser.add_argument("--work", type=Path, default=Path("out/gap_strangers"))
-    parser.add_argument("--store", type=Path, default=RESULTS)
     args = parser.parse_args()
-    jobs = {}
-    for name in args.only:
-        folder = args.work / "cases" / name
-        jobs[name] = Job(make(name, folder), args.work / engine() / name, seconds=args.seconds)
-    diagnose_all(list(jobs.values()), args.jobs, args.minutes)
-    store, rows = Store(args.store, ("case",)), []
-    for name, job in jobs.items():
-        if (answer := read(job)) is not None:
-            label = CASES[name].label
-            row = scored(name, label, answer)
-            row |= {"judged": judged(label, row), "truth": row["truth"] or [label["cls"]]}
-            print(line(row))
-            rows.append(store.add({k: v for k, v in row.items() if k not in ("settings", "said", "alike")}))
-    count = Counter(r["judged"] for r in rows)
-    print(f"engine {engine()}, {len(rows)} cases: " + ", ".join(f"{n} {what}" for what, n in count.most_common()))
+    names = args.only or list(CASES)
+    made = {n: make(n, args.work / "cases" / n) for n in names}
+    jobs = {n: Job(case, args.work / engine() / n, seconds=args.seconds) for n, case in made.items()}
+
+    def kept(name: str, row: dict[str, Any]) -> dict[str, Any]:
+        label = CASES[name].label
+        row = row | {"judged": judged(label, row), "truth": row["truth"] or [label["cls"]]}
+        return {k: v for k, v in row.items() if k not in ("settings", "said", "alike")}
+
+    answer_all(args, jobs, {n: CASES[n].label for n in names}, Store(args.store, ("case",)), kept)
     return 0
 
 

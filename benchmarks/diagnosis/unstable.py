@@ -85,9 +85,9 @@ def main(options: Options) -> None:
         if not (options.work / "cases" / f"case_{k:02d}" / "log.json").is_file():
             make(k, options.work / "cases" / f"case_{k:02d}")
     replay = "whole" if options.open_loop else "parts"
-    without = OPEN_LOOP if options.open_loop else ""
+    figure = OPEN_LOOP if options.open_loop else ""
     todo = {
-        k: Job(options.work / "cases" / f"case_{k:02d}", options.work / replay / f"case_{k:02d}", {}, without)
+        k: Job(options.work / "cases" / f"case_{k:02d}", options.work / replay / f"case_{k:02d}", {}, figure)
         for k in numbers
     }
     diagnose_all(list(todo.values()), options.jobs)

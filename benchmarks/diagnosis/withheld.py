@@ -4,7 +4,7 @@
 
 Makes cases with `tests.truths.diagnosis` (which shares no code with the diagnosis), keeps the labels apart, runs the
 diagnosis over the cases in processes of its own, and scores what it wrote. Prints a table and stores the figures.
-Cases that are already diagnosed in --work are kept, so an interrupted run goes on where it stopped. A seed makes the
+Cases that this engine has diagnosed in --work are kept: an interrupted run goes on where it stopped. A seed makes the
 same cases everywhere; results/diagnosis.json holds the cases of every seed that was scored. Diagnoses of several
 engines are not scored together: each says which engine gave it.
 """
@@ -14,7 +14,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import subprocess
 import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
@@ -24,6 +23,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
+from benchmarks.diagnosis.pool import Job, diagnose_all, read
 from benchmarks.diagnosis.score import (
     BARS,
     MixedEnginesError,
@@ -32,12 +32,11 @@ from benchmarks.diagnosis.score import (
     look_alikes_named,
     one_engine,
     score,
+    short,
     table,
 )
 from benchmarks.store import described_run
 from realsim.core.files import to_json, write_text
-from realsim.gap.config import DiagnoseConfig
-from realsim.gap.provenance import provenance
 from tests.truths.diagnosis.cases import make_labelled, plan, read_labels
 
 STORED = Path(__file__).parents[1] / "results" / "diagnosis.json"
@@ -58,9 +57,12 @@ def main() -> int:
         "--developed-on", nargs="*", default=[], help="cases whose failures were looked at: also without"
     )
     args = parser.parse_args()
-    labels = read_labels(args.work) if args.score else make_all(args)
-    seconds = 0.0 if args.score else diagnose_all(args, sorted(labels))
-    found = read_found(args.work, sorted(labels))
+    labels, began = read_labels(args.work) if args.score else make_all(args), time.perf_counter()
+    jobs = {n: Job(args.work / "cases" / n, args.work / "out" / n) for n in sorted(labels)}
+    if not args.score:
+        diagnose_all(list(jobs.values()), args.jobs)
+    found = {n: answer for n, job in jobs.items() if (answer := read(job)) is not None}
+    seconds = 0.0 if args.score else time.perf_counter() - began
     try:
         one_engine(found)
     except MixedEnginesError as error:
@@ -97,7 +99,7 @@ def make_all(args: argparse.Namespace) -> dict[str, dict[str, Any]]:
 
 
 KEPT = (
-    "note", "ci90_holds_truth", "gap_gone_median_where_right", "baselines", "outside_said", "confounded_named",
+    "note", "ci90_holds_truth", "gap_gone_median_where_right", "outside_said", "confounded_named",
     "single_top1_with_equivalents", "double_both_found_with_equivalents",
 )  # fmt: skip
 """Figures of a set that its rows do not give."""
@@ -143,10 +145,6 @@ def case_line(name: str, row: dict[str, Any]) -> str:
 
 def kept_row(label: dict[str, Any], found: dict[str, Any]) -> dict[str, Any]:
     """A case as it is stored: causes as effect@places."""
-
-    def short(cause: dict[str, Any]) -> str:
-        return f"{cause['effect']}@{'+'.join(cause.get('joints') or cause.get('bodies') or [])}"
-
     return {
         "cls": label["cls"],
         "robot": label["robot"],
@@ -161,56 +159,6 @@ def kept_row(label: dict[str, Any], found: dict[str, Any]) -> dict[str, Any]:
         "seconds": (found.get("statistics") or {}).get("seconds"),
         "cpu_seconds": found.get("cpu_seconds"),
     }
-
-
-def read_found(work: Path, names: list[str]) -> dict[str, dict[str, Any]]:
-    """Case -> its diagnosis; a case that the tool refused counts as one without an answer."""
-    found: dict[str, dict[str, Any]] = {}
-    for name in names:
-        if (file := work / "out" / name / "diagnosis.json").is_file():
-            found[name] = json.loads(file.read_text())
-        elif refused := next((f for f in _refusals(work, name) if f.is_file()), None):
-            refusal = json.loads(refused.read_text())
-            made = {"provenance": refusal.get("provenance")}
-            found[name] = {"verdict": "refused", "causes": [], "equivalent": [], **made}
-    return found
-
-
-def _refusals(work: Path, name: str) -> tuple[Path, Path]:
-    """Where a refusal may lie: `realsim diagnose` says it, `pool` writes it beside the answers."""
-    return work / "refused" / f"{name}.json", work / "out" / name / "refused.json"
-
-
-def diagnose_all(args: argparse.Namespace, names: list[str]) -> float:
-    """Run `realsim diagnose`, in processes of its own, over all cases that have no diagnosis yet; wall seconds."""
-    out = (args.work / "out").absolute()
-    todo = [n for n in names if not (out / n / "diagnosis.json").is_file()]
-    began = time.perf_counter()
-    if todo:
-        folders = [str(args.work / "cases" / n) for n in todo]
-        # Of a single case the diagnosis lies in --out itself, of several in a folder each.
-        target = out / todo[0] if len(todo) == 1 else out
-        options = ["--out", str(target), "--jobs", str(args.jobs), "--threads", "1", "--no-report", "--json"]
-        command = [sys.executable, "-m", "realsim", "diagnose", *folders, *options]
-        done = subprocess.run(command, capture_output=True, text=True)
-        if done.returncode not in (0, 1):
-            print(done.stderr[-2000:], file=sys.stderr)
-        _note_refusals(args.work / "refused", todo, done.stdout)
-    return time.perf_counter() - began
-
-
-def _note_refusals(folder: Path, todo: list[str], said: str) -> None:
-    """Keep the reason of every case that ended with bad input (exit code 2)."""
-    try:
-        answer = json.loads(said)
-    except json.JSONDecodeError:
-        return
-    items = answer.get("items", [{"name": todo[0], "exit_code": 2, **answer}] if "error" in answer else [])
-    for item in items:
-        if item.get("exit_code") == 2:
-            folder.mkdir(parents=True, exist_ok=True)
-            item["provenance"] = provenance(DiagnoseConfig())
-            (folder / f"{item['name']}.json").write_text(json.dumps(item, indent=1) + "\n")
 
 
 if __name__ == "__main__":

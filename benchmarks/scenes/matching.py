@@ -30,7 +30,7 @@ import tyro
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
-from benchmarks.scenes.captures import ate  # noqa: E402  (the path above)
+from benchmarks.scenes.loops import ate  # noqa: E402  (the path above)
 from benchmarks.scenes.real_captures import SLAMBOOK  # noqa: E402
 from benchmarks.store import Row, Store  # noqa: E402
 

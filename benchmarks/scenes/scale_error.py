@@ -235,30 +235,9 @@ def summary(rows: list[Row]) -> dict[str, Row]:
             "pixel_mean": float(np.mean(by_pixel)) if by_pixel else None,
             "pixel_worst": float(np.max(by_pixel)) if by_pixel else None,
             "coverage": float(np.mean(held)) if held else None,
-            "coverage_as_drawn": _coverage_as_drawn(mine),
             "cpu_seconds": float(np.mean([r["cpu_seconds"] for r in mine])),
         }
     return out
-
-
-def _coverage_as_drawn(rows: list[Row]) -> float | None:
-    """Coverage had `--sensor-sigma` been what the sensors' scales were drawn from, not the wider default.
-
-    Half widths add in squares (realsim.scale.metric.with_sensor), so that one part can be taken out for another. None
-    where there is no interval, and where metric poses corrected the sensor (half widths below the default's own part).
-    """
-    from benchmarks.scenes.scale_sources import SENSOR_SCALE
-    from realsim.capture.layout import CAMERA
-    from realsim.scale.config import ScaleConfig
-
-    rows = [r for r in rows if "interval" in r]
-    halves = np.array([[1 - r["interval"][0], r["interval"][1] - 1] for r in rows]).reshape(-1, 2)
-    assumed, drawn = 1.645 * (ScaleConfig().sensor_sigma or CAMERA), 1.645 * SENSOR_SCALE
-    if not len(rows) or halves.max() < assumed:
-        return None
-    halves = np.sqrt(np.maximum(halves**2 - assumed**2, 0) + drawn**2)
-    off = np.array([1 / r["pixel_scale"] - 1 for r in rows])
-    return float(np.mean((off >= -halves[:, 0]) & (off <= halves[:, 1])))
 
 
 def show(rows: list[Row]) -> None:

@@ -12,14 +12,9 @@ from benchmarks.training import base_policy, ladder, parkour, pushes, trials, tt
 
 INDEX = (
     (
-        "Scenes against exact truth, and against two real captures",
+        "Scenes against exact truth",
         "reconstruct",
         "python benchmarks/scenes/reconstruct.py",
-    ),
-    (
-        "Time and memory by the number of frames",
-        "reconstruct_scaling",
-        "python benchmarks/scenes/reconstruct.py --frames N ...",
     ),
     (
         "Error of the metric scale by source of points and poses",
@@ -66,7 +61,6 @@ INDEX = (
     ("How long a diagnosis takes", "gap_times", "python benchmarks/diagnosis/times.py --seed SEED"),
     ("Speed of training", "trainer_speed", "python benchmarks/training/trainer_speed.py"),
     ("Learning on one CPU core", "trainer_cpu", "python benchmarks/training/trainer_cpu.py"),
-    ("Places that repeat, and an unregistered Kinect", "captures", "python benchmarks/scenes/captures.py"),
     ("Loops in places that look alike", "loops", "python benchmarks/scenes/loops.py"),
     (
         "Contact from the side, by columns alone and as `auto` chooses",
@@ -82,8 +76,6 @@ INDEX = (
         "matching",
         "python benchmarks/scenes/matching.py",
     ),
-    ("The same frames as a folder and as a ROS bag", "bag_scene", "python benchmarks/scenes/bag_scene.py"),
-    ("A depth camera that is late, turned, or right", "gap_depth", "python benchmarks/diagnosis/depth.py"),
     ("Mistakes between a policy and its robot", "gap_contract", "python benchmarks/diagnosis/contract.py"),
     ("Public reports of errors in the robot, rebuilt", "gap_reports", "python benchmarks/diagnosis/reports.py"),
     ("Damaged input: tracebacks, hangs, silent changes", "fuzz", "python benchmarks/robustness/fuzz.py"),
@@ -121,14 +113,12 @@ INDEX = (
     (
         "Fine-tuning with a diagnosis, beside randomisation alone",
         "close_the_gap",
-        "python benchmarks/training/close_the_gap.py",
+        "python benchmarks/training/closed_loop.py",
     ),
 )
 KEYS = {
-    "bag_scene": ("terrain", "frames", "source"),
     "base_policy": base_policy.KEY,
     "pushes": pushes.KEY,
-    "captures": ("kind", "seed", "method"),
     "clouds": ("terrain",),
     "movers": ("kind", "poses"),
     "close_the_gap": ("robot", "iterations", "effects_considered", "course"),
@@ -137,7 +127,6 @@ KEYS = {
     "diagnosis": ("seed", "case", "commit"),
     "footholds": ("change", "seed"),
     "gap_blind": ("case",),
-    "gap_depth": ("case", "seed", "crossings"),
     "gap_contract": ("policy", "kind", "seed"),
     "gap_reports": ("case", "seed"),
     "gap_next": ("seed", "case", "engine"),
@@ -152,7 +141,6 @@ KEYS = {
     "matching": ("capture", "kind", "learned", "frames"),
     "real_captures": ("capture",),
     "reconstruct": ("capture", "method"),
-    "reconstruct_scaling": ("frames", "poses"),
     "sides": ("scene", "contact"),
     "scale_error": ("terrain", "seed", "source", "frames"),
     "trainer_cpu": ("case", "seed"),

@@ -19,7 +19,7 @@ from benchmarks.tables import diagnosis, fresh, index, plots, policies, readme, 
 from benchmarks.tables.api import functions
 
 ROOT = Path(__file__).resolve().parents[2]
-PLOTS = ROOT / "benchmarks" / "plots"
+PLOTS, IMAGES = ROOT / "benchmarks" / "plots", ROOT / "docs" / "images"
 PAGES = ("README.md", "benchmarks/REPORT.md", "docs/api.md", "benchmarks/results/README.md", "trainer/policies/CARD.md")
 TABLES: dict[str, Callable[[], list[str]]] = {
     "readme": readme.readme,
@@ -74,6 +74,7 @@ def main() -> int:
     check = parser.parse_args().check
     made = {ROOT / page: filled((ROOT / page).read_text()) for page in PAGES}
     made |= {PLOTS / name: picture for name, picture in plots.pictures().items()}
+    made |= {IMAGES / name: picture for name, picture in plots.pictures_of_docs().items()}
     stale = [file for file, text in made.items() if not file.is_file() or file.read_text() != text]
     for file in stale:
         if check:

@@ -1,4 +1,4 @@
-"""The report's pictures, as SVG files that need no style sheet: bars of stored shares with 95 % intervals."""
+"""Pictures of stored rows, as SVG files that need no style sheet: those of the report, and two of the docs."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ import re
 from benchmarks.tables.diagnosis import real_figures
 from benchmarks.tables.fresh import measures, rows_of
 from benchmarks.tables.policies import tuned_rows
-from realsim.report.svg import Bar, bars
+from benchmarks.tables.stored import stored
+from realsim.report.svg import Axes, Bar, bars
 from trainer.evaluate import wilson
 
 COLORS = {
@@ -39,6 +40,38 @@ def pictures() -> dict[str, str]:
         "real_logs.svg": _shares({name: real[key] for name, key in REAL.items()}),
         "fine_tuning.svg": _before_and_after(),
     }
+
+
+def pictures_of_docs() -> dict[str, str]:
+    """File name in docs/images -> SVG."""
+    return {"close_the_gap.svg": _closed(), "trainer_cpu.svg": _learning()}
+
+
+def _closed() -> str:
+    """Success and speed on flat ground of a robot that its model does not describe."""
+    arms, items = {"before": "before", "random": "randomisation", "patch": "diagnosed"}, []
+    for r in stored("close_the_gap")["rows"]:
+        for arm, title in arms.items() if r["course"] == "flat" else ():
+            rate, (low, high) = r[arm]["rate"], r[arm]["interval"]
+            text = f"{100 * rate:.0f} %, {r[arm]['speed']:.2f} m/s"
+            fill = "var(--c1)" if arm == "before" else "var(--faint)" if arm == "random" else "var(--c0)"
+            items.append(Bar(f"{r['robot']}, {title}", 100 * rate, 100 * low, 100 * high, fill, text))
+    return _alone(bars(items, x_label="% of the trials that arrive, with 95 % intervals; speed", x=(0, 150)))
+
+
+def _learning() -> str:
+    """Reward and success of the quadruped over its iterations on one core."""
+    row = stored("trainer_cpu")["rows"][0]
+    axes = Axes((0, row["iterations"]), (-4, 108), width=640, height=280, x_label="iterations", y_label="%")
+    # Worlds begin anew at every checkpoint: episodes that end soon after are short. A step's reward is comparable.
+    steps = zip(row["curve"]["return"], row["curve"]["length"], strict=True)
+    rewards = [(i, r / n) for i, (r, n) in enumerate(steps) if n]
+    most = max(r for _, r in rewards)
+    axes.polyline([(i, 100 * r / most) for i, r in rewards], "var(--c0)")
+    axes.polyline([(i, 100 * rate) for i, rate in row["evaluations"]], "var(--c1)")
+    axes.text(5, 102, "reward a step of an episode, of the most", fill="var(--c0)", anchor="start")
+    axes.text(row["iterations"] - 5, 102, "trials of the policy that arrive", fill="var(--c1)", anchor="end")
+    return _alone(axes.svg("reward and success over training"))
 
 
 def _shares(counts: dict[str, tuple[int, int]]) -> str:

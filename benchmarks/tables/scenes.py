@@ -12,7 +12,6 @@ from benchmarks.scenes import reconstruct
 from benchmarks.tables.stored import Row, stored
 
 POSES = {"given": "given", "hidden": "unknown"}
-CAPTURES = {"stake_a": "stakes", "narrow_a": "narrow beams", "mixed_a": "mixed"}
 
 
 def captures() -> list[str]:
@@ -23,7 +22,7 @@ def captures() -> list[str]:
         mode = r["method"].rpartition(" ")[2]
         if r["capture"] in reconstruct.NAMES and mode in POSES:
             lines.append(
-                f"| {CAPTURES.get(r['capture'], r['capture'])} | {POSES[mode]} | {100 * r['scale_error']:.2f} | "
+                f"| {reconstruct.NAMES[r['capture']]} | {POSES[mode]} | {100 * r['scale_error']:.2f} | "
                 f"{r['tilt_deg']:.2f} | {r['yaw_deg']:.2f} | {r['origin_mm']:.1f} | {r['delivered_tops_mm']:.1f} | "
                 f"{r['f1']:.3f} | {r['f2']:.3f} | {r['seconds']:.0f} |"
             )

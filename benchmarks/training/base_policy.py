@@ -93,24 +93,24 @@ def fingerprint(policy: Path) -> str:
 def rows(lands: dict[str, Any], setting: str, policy: Any, device: Any, options: Options) -> list[dict[str, Any]]:
     """Counts of outcomes, courses of one family and difficulty together."""
     task, pushes = SETTINGS[setting]
-    count = options.trials * len(lands)
-    config = EvaluationConfig(trials=count, worlds=count, seed=options.seed, pushes=pushes)
-    env = make(
-        trial_config(task, config),
-        list(lands.values()),
-        robot=policy.robot,
-        worlds=count,
-        engine="warp" if device.type == "cuda" else "mujoco",
-        physics=PhysicsConfig(device=str(device)),
-        seed=options.seed,
-    )
-    outcome = run(policy.act, env, count).outcome.tolist()
+    config = EvaluationConfig(trials=options.trials, seed=options.seed, pushes=pushes)
     counts: dict[str, Counter[str]] = {}
-    for i, name in enumerate(lands):  # world k is on course k modulo their number
-        kind = ":".join(name.split(":")[:2])
-        counts.setdefault(kind, Counter()).update(OUTCOMES[o] for o in outcome[i :: len(lands)])
+    for name, found in zip(lands, outcomes(policy, list(lands.values()), task, config, device), strict=True):
+        counts.setdefault(":".join(name.split(":")[:2]), Counter()).update(found)
     same = {"robot": policy.robot, "setting": setting, "seed": options.seed}
     return [{"course": kind, "trials": found.total(), **found, **same} for kind, found in counts.items()]
+
+
+def outcomes(
+    policy: Any, lands: list[Any], task: ParkourConfig, config: EvaluationConfig, device: Any, **more: Any
+) -> list[Counter[str]]:
+    """How trials on each course end: `config.trials` on each, all in one batch of worlds. `more` goes to `make`."""
+    count = config.trials * len(lands)
+    config = replace(config, trials=count, worlds=count)
+    options = {"engine": "warp" if device.type == "cuda" else "mujoco", "physics": PhysicsConfig(device=str(device))}
+    env = make(trial_config(task, config), lands, robot=policy.robot, worlds=count, seed=config.seed, **options | more)
+    ends = [OUTCOMES[o] for o in run(policy.to(device).act, env, count).outcome.tolist()]
+    return [Counter(ends[i :: len(lands)]) for i in range(len(lands))]  # world k is on course k modulo their number
 
 
 def grouped(rows: list[dict[str, Any]], setting: str, robot: str = "g1", base: str = "") -> dict[str, tuple[int, int]]:

@@ -16,7 +16,8 @@ parkour course with its depth camera. Then, for each thing that is wrong:
    samples and seed with randomisation alone.
 4. Both go back to the robot.
 
-Writes loop/table.txt, loop/results.json and loop/loop.png. Every step keeps its result, and is not done again.
+Every step keeps its result in loop/results.json, and is not done again; a robot of which all is done becomes a row of
+benchmarks/results/close_the_gap.json.
 """
 
 from __future__ import annotations
@@ -31,11 +32,14 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
 import mujoco
 import numpy as np
 import torch
 
 import realsim as rs
+from benchmarks.store import Store
 from realsim import DiagnoseConfig
 from realsim.core.files import to_json, write_text
 from trainer import terrain
@@ -60,6 +64,8 @@ from trainer.tasks.parkour.config import (
 from trainer.tasks.parkour.terminations import SUCCESS
 from trainer.trainers import Scene, TrainConfig, find
 
+RESULTS = Path(__file__).parents[1] / "results" / "close_the_gap.json"
+KEY = ("robot", "iterations", "effects_considered", "course")
 FLAT = "flat"
 ALONE = RandomisationConfig(push=0.0)
 """The trainer's own ranges: what is guessed where nothing is known."""
@@ -396,85 +402,40 @@ class Loop:
 _ARMS = {"patch": "patched by the diagnosis", "random": "with randomisation alone"}
 
 
-# ---------------------------------------------------------------- table and figure
+# ---------------------------------------------------------------- rows
 
 
-def table(results: dict[str, Any]) -> str:
-    """What came out, by robot; what has not been done is left out."""
-    nominal = results.get("nominal")
-    lines = (
-        [] if nominal is None else [f"in simulation, of {nominal['trials']} trials of the base {_share(nominal)}", ""]
-    )
-    for name, real in REAL[results.get("options", {}).get("robot", "quadruped")].items():
-        before, found = results.get(f"{name}/before"), results.get(f"{name}/diagnosis")
-        if before is None or nominal is None:
+def rows(results: dict[str, Any]) -> list[dict[str, Any]]:
+    """A row for each robot of which all is there."""
+    found = []
+    for name in dict.fromkeys(key.partition("/")[0] for key in results if "/" in key):
+        parts = {k: results.get(f"{name}/{k}") for k in ("before", "diagnosis", "patch", "random")}
+        if "nominal" not in results or None in parts.values():
             continue
-        lines.append(f"the robot {real.what}: {_share(before)}")
-        if found is not None:
-            lines.append(f"  diagnosis        {found['verdict']}: {'; '.join(found['causes']) or 'no cause'}")
-        for arm, title in _ARMS.items():
-            after = results.get(f"{name}/{arm}")
-            if after is not None:
-                lines.append(f"  {title:25} {_share(after)}; {_regained(nominal, before, after)}")
-    return "\n".join(lines) + "\n"
+        before, nominal, options = parts["before"], results["nominal"], results["options"]
+        robot = " ".join([*[options[k] for k in ("robot",) if k in options], name])
+        row: dict[str, Any] = {"robot": robot, "truth": before["what"], "iterations": options["iterations"]}
+        row |= {"effects_considered": ", ".join(parts["diagnosis"].get("effects_considered") or ["all"])}
+        row |= {"course": options["course"]}
+        row |= {"verdict": parts["diagnosis"]["verdict"], "causes": parts["diagnosis"]["causes"]}
+        row |= {"nominal": _short(nominal), "before": _short(before)}
+        for arm in ("patch", "random"):
+            row[arm] = _short(parts[arm])
+            row[f"regained_{arm}"] = {what: _regained(nominal, before, parts[arm], what) for what in ("rate", "speed")}
+        row["cpu_seconds"] = {k: v["cpu_seconds"] for k, v in results.items() if k.startswith(f"{name}/")}
+        found.append(row)
+    return found
 
 
-def regained(nominal: dict[str, Any], before: dict[str, Any], after: dict[str, Any], what: str = "rate") -> float:
-    """How much of what the effect cost is back, of the success `rate` or the `speed`; NaN where it cost nothing."""
+def _regained(nominal: dict[str, Any], before: dict[str, Any], after: dict[str, Any], what: str) -> float | None:
+    """Share of what was lost; None where nothing was."""
     lost = nominal[what] - before[what]
-    return (after[what] - before[what]) / lost if lost > 0 else float("nan")
+    return round((after[what] - before[what]) / lost, 3) if lost > 0 else None
 
 
-def _regained(nominal: dict[str, Any], before: dict[str, Any], after: dict[str, Any]) -> str:
-    shares = {what: regained(nominal, before, after, what) for what in ("rate", "speed")}
-    said = [f"{'success' if what == 'rate' else what} {share:.0%}" for what, share in shares.items() if share == share]
-    return f"of what was lost is regained: {', '.join(said)}" if said else "nothing was lost"
-
-
-def _share(result: dict[str, Any]) -> str:
-    low, high = result["interval"]
-    return f"{result['rate']:.0%} [{low:.0%}, {high:.0%}] succeed, {result['speed']:.2f} m/s"
-
-
-def figure(results: dict[str, Any], path: Path) -> None:
-    """A group of bars a robot, with 95 % intervals, and the speed under each."""
-    import cv2
-
-    names = [n for n in ("payload", "motors", "delay") if f"{n}/before" in results]
-    bars = (("before", "before", (150, 150, 150)), ("random", "randomisation alone", (60, 140, 230)),
-            ("patch", "diagnosed and patched", (150, 120, 20)))  # fmt: skip
-    width, height, left, low, top = 240 * max(1, len(names)) + 90, 380, 60, 290, 50
-    image = np.full((height, width, 3), 255, np.uint8)
-
-    def text(words: str, x: float, y: float, colour: tuple[int, int, int] = (60, 60, 60)) -> None:
-        cv2.putText(image, words, (int(x), int(y)), cv2.FONT_HERSHEY_SIMPLEX, 0.42, colour, 1, cv2.LINE_AA)
-
-    def up(share: float) -> int:
-        return int(low - share * (low - top))
-
-    for share in (0.0, 0.5, 1.0):
-        cv2.line(image, (left, up(share)), (width - 20, up(share)), (225, 225, 225), 1)
-        text(f"{share:.0%}", 15, up(share) + 4)
-    for i, name in enumerate(names):
-        for k, (key, _, colour) in enumerate(bars):
-            result = results.get(f"{name}/{key}")
-            if result is None:
-                continue
-            x = left + 240 * i + 20 + 65 * k
-            cv2.rectangle(image, (x, up(result["rate"])), (x + 50, low), colour, -1)
-            text(f"{result['speed']:.2f} m/s", x - 4, low + 16)
-            a, b = result["interval"]
-            cv2.line(image, (x + 25, up(a)), (x + 25, up(b)), (40, 40, 40), 1, cv2.LINE_AA)
-        text(name, left + 240 * i + 85, low + 38)
-    if (nominal := results.get("nominal")) is not None:
-        cv2.line(image, (left, up(nominal["rate"])), (width - 20, up(nominal["rate"])), (60, 160, 60), 1, cv2.LINE_AA)
-        text("in simulation", left + 4, up(nominal["rate"]) - 6, (60, 160, 60))
-    x = float(left)
-    for _, words, colour in bars:
-        text(words, x, height - 15, colour)
-        x += 9.0 * len(words) + 20
-    text("success on the robot", left, 22)
-    cv2.imwrite(str(path), image)
+def _short(trials: dict[str, Any]) -> dict[str, Any]:
+    kept = {k: trials[k] for k in ("rate", "speed", "trials", "reasons", "seconds", "covered")}
+    return kept | {"interval": [round(v, 4) for v in trials["interval"]]}
 
 
 def main() -> int:
@@ -491,6 +452,7 @@ def main() -> int:
     parser.add_argument("--trials", type=int, default=100, help="of each policy on each robot")
     parser.add_argument("--effects", nargs="*", default=[], help="that the diagnosis considers; all if not given")
     parser.add_argument("--base", type=Path, default=None, help="a policy of this task; one is trained if not given")
+    parser.add_argument("--store", type=Path, default=RESULTS)
     args = parser.parse_args()
     if args.robot != "quadruped" and args.course == FLAT:
         parser.error(f"--robot {args.robot} needs a --course: what ships for it crosses terrain, on a GPU")
@@ -501,10 +463,9 @@ def main() -> int:
         loop.run()
     except TimeoutError:
         print("the time is over; run it again to go on")
-    said = table(loop.results)
-    write_text(args.out / "table.txt", said)
-    figure(loop.results, args.out / "loop.png")
-    print(said, end="")
+    store = Store(args.store, KEY)
+    for row in rows(loop.results):
+        print(json.dumps(store.add(row)))
     return 0
 
 

@@ -10,7 +10,6 @@ randomised a little (0.3 of its width), so that what is lost is lost by pushes. 
 from __future__ import annotations
 
 import sys
-from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,15 +19,14 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import tyro
 
 from benchmarks.store import Store
+from benchmarks.training.base_policy import outcomes
 from trainer import terrain as terrains
 from trainer.commands.common import load_policy
-from trainer.evaluate import EvaluationConfig, run, trial_config
-from trainer.physics import PhysicsConfig
+from trainer.evaluate import EvaluationConfig
 from trainer.policies import base_of
 from trainer.ppo.distributed import pick_device
-from trainer.tasks.parkour import ParkourConfig, make
+from trainer.tasks.parkour import ParkourConfig
 from trainer.tasks.parkour.config import RandomisationConfig
-from trainer.tasks.parkour.terminations import OUTCOMES
 
 ROOT = Path(__file__).resolve().parents[2]
 KEY = ("policy", "test", "push", "seed")
@@ -65,29 +63,11 @@ def main(options: Options) -> None:
 def rows(push: float, policy: Any, device: Any, options: Options) -> list[dict[str, Any]]:
     """Counts of outcomes on every test."""
     random = RandomisationConfig(strength=STRENGTH, push=push / STRENGTH, push_seconds=6.0 if push else 0.0)
-    count = options.trials * len(options.tests)
-    config = EvaluationConfig(trials=count, worlds=count, seed=options.seed, pushes=push > 0)
-    env = make(
-        trial_config(ParkourConfig(randomisation=random), config),
-        [terrains.named(name) for name in options.tests],
-        robot=policy.robot,
-        worlds=count,
-        engine="warp" if device.type == "cuda" else "mujoco",
-        physics=PhysicsConfig(device=str(device)),
-        seed=options.seed,
-    )
-    outcome = run(policy.act, env, count).outcome.tolist()
-    return [
-        {
-            "policy": options.name,
-            "test": name,
-            "push": push,
-            "trials": options.trials,
-            **Counter(OUTCOMES[o] for o in outcome[i :: len(options.tests)]),
-            "seed": options.seed,
-        }
-        for i, name in enumerate(options.tests)  # world k is on test k modulo their number
-    ]
+    config = EvaluationConfig(trials=options.trials, seed=options.seed, pushes=push > 0)
+    lands = [terrains.named(name) for name in options.tests]
+    found = outcomes(policy, lands, ParkourConfig(randomisation=random), config, device)
+    same = {"policy": options.name, "push": push, "trials": options.trials, "seed": options.seed}
+    return [{"test": name, **counts, **same} for name, counts in zip(options.tests, found, strict=True)]
 
 
 def table(rows: list[dict[str, Any]]) -> list[str]:

@@ -1,11 +1,11 @@
 """A small task learnt end to end on the CPU: the quadruped stands up and walks forward on flat ground.
 
     python benchmarks/training/trainer_cpu.py --out walk              trains, or goes on from walk/policy.pt
-    python benchmarks/training/trainer_cpu.py --out walk --report     figures and curve of what there is
+    python benchmarks/training/trainer_cpu.py --out walk --report     figures of what there is
     realsim play flat --policy walk/policy.pt --task-file walk/task.json --out walk.mp4
 
 Training is exact over interruptions: it goes on from its last checkpoint as if there had been none. The report is
-written to benchmarks/results/trainer_cpu.json and docs/images/trainer_cpu.png.
+written to benchmarks/results/trainer_cpu.json; `make readme` draws it.
 """
 
 from __future__ import annotations
@@ -16,8 +16,6 @@ import sys
 import time
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
@@ -110,41 +108,7 @@ def report(folder: Path, trials: int) -> None:
         "evaluations": training["evaluations"],
     }
     store.add(data)
-    draw(rows, training["evaluations"], training["samples"], ROOT / "docs" / "images" / "trainer_cpu.png")
     print(json.dumps({k: v for k, v in data.items() if k != "curve"}, indent=1))
-
-
-def draw(rows: list[dict[str, float | None]], evaluations: list[list[float]], samples: int, path: Path) -> None:
-    """Return and success over samples, as a small picture."""
-    import cv2
-
-    width, height, margin = 640, 300, 48
-    image = np.full((height, width, 3), 255, np.uint8)
-    # Worlds begin anew at every checkpoint: episodes that end soon after are short. A second's reward is comparable.
-    returns = np.array([row["return"] for row in rows], float) / np.array([row["length"] for row in rows], float) * 50
-    returns = np.where(np.isfinite(returns), returns, np.nan)
-    low, high = float(np.nanmin(returns)), float(np.nanmax(returns))
-
-    def at(share: float, value: float) -> tuple[int, int]:
-        return int(margin + share * (width - 2 * margin)), int(height - margin - value * (height - 2 * margin))
-
-    def curve(points: list[tuple[int, int]], colour: tuple[int, int, int]) -> None:
-        cv2.polylines(image, [np.array(points, np.int32)], False, colour, 2, cv2.LINE_AA)
-
-    def text(words: str, where: tuple[int, int], colour: tuple[int, int, int] = (60, 60, 60)) -> None:
-        cv2.putText(image, words, where, cv2.FONT_HERSHEY_SIMPLEX, 0.42, colour, 1, cv2.LINE_AA)
-
-    cv2.rectangle(image, at(0, 1), at(1, 0), (180, 180, 180), 1)
-    blue, red = (180, 90, 20), (40, 60, 200)
-    steady = [(i, r) for i, r in enumerate(returns) if np.isfinite(r)]
-    curve([at(i / len(rows), (r - low) / (high - low)) for i, r in steady], blue)
-    curve([at(i / len(rows), rate) for i, rate in evaluations], red)
-    text(f"reward a second of an episode, {low:.1f} to {high:.1f}", (margin, 24), blue)
-    text("success of the deterministic policy, 0 to 100 %", (margin + 270, 24), red)
-    text("0", at(0, -0.08))
-    text(f"{samples / 1e6:.1f} million policy steps", at(0.76, -0.08))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    cv2.imwrite(str(path), image)
 
 
 def main() -> None:
@@ -152,7 +116,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("walk"))
     parser.add_argument("--iterations", type=int, default=400, help="in all")
     parser.add_argument("--seconds", type=float, default=1e9, help="stop at the next checkpoint after this time")
-    parser.add_argument("--report", action="store_true", help="evaluate and draw instead of training")
+    parser.add_argument("--report", action="store_true", help="evaluate instead of training")
     parser.add_argument("--trials", type=int, default=200)
     a = parser.parse_args()
     a.out.mkdir(parents=True, exist_ok=True)

@@ -19,15 +19,13 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import tyro
 
 from benchmarks.store import Store
-from benchmarks.training.base_policy import SETTINGS, fingerprint
+from benchmarks.training.base_policy import SETTINGS, fingerprint, outcomes
 from trainer import terrain as terrains
 from trainer.commands.common import load_policy
-from trainer.evaluate import EvaluationConfig, run, trial_config
+from trainer.evaluate import EvaluationConfig
 from trainer.physics import PhysicsConfig
 from trainer.policies import base_of
 from trainer.ppo.distributed import pick_device
-from trainer.tasks.parkour import make
-from trainer.tasks.parkour.terminations import SUCCESS
 
 ROOT = Path(__file__).resolve().parents[2]
 KEY = ("robot", "base", "course", "engine", "finish", "trials", "seed")
@@ -63,22 +61,20 @@ def main(options: Options) -> None:
 def counts(policy: Any, engine: str, finish: Any, options: Options) -> dict[str, int]:
     """Successes on every test."""
     lands = [terrains.named(name) for name in options.tests]
-    count = options.trials * len(lands)
-    config = EvaluationConfig(trials=count, worlds=count, seed=options.seed, finish=finish)
+    config = EvaluationConfig(trials=options.trials, seed=options.seed, finish=finish)
     own = pick_device("auto")
     device = own if engine == "warp" else pick_device("cpu")
-    env = make(
-        trial_config(SETTINGS["mild"][0], config),
+    found = outcomes(
+        policy,
         lands,
-        robot=policy.robot,
-        worlds=count,
+        SETTINGS["mild"][0],
+        config,
+        device,
         engine="mujoco" if engine in SOFTNESS else engine,
         caster="warp_host" if own.type == "cuda" and device.type == "cpu" else None,
         physics=PhysicsConfig(device=str(device), threads=options.threads, softness=SOFTNESS.get(engine, 1.0)),
-        seed=options.seed,
     )
-    outcome = run(policy.to(device).act, env, count).outcome.tolist()
-    return {name: outcome[i :: len(lands)].count(SUCCESS) for i, name in enumerate(options.tests)}
+    return {name: counts["success"] for name, counts in zip(options.tests, found, strict=True)}
 
 
 def table(rows: list[dict[str, Any]], robot: str) -> list[str]:

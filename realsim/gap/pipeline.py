@@ -38,8 +38,6 @@ from realsim.gap.provenance import provenance
 from realsim.gap.simulation.simulate import Simulator
 from realsim.gap.verdicts import GapVerdict
 
-Look = Callable[[Screen, Selection], dict[str, Any]]
-"""Called with the search before the simulator closes; what it returns goes into `statistics`."""
 Progress = Callable[[str, float], None]
 LIES, WAITING, FLIGHT, GRAVITY = 0.5, 0.25, 1.0, 9.81
 """Share of its usual thrust below which a drone that does not fall lies on the ground, s before and after in which it
@@ -49,16 +47,13 @@ STRETCH = 0.5
 """s that a stretch between gaps must last: a run's first state is judged by 0.3 s of it. Not tuned."""
 
 
-def diagnose(
-    case: Case, config: DiagnoseConfig | None = None, progress: Progress | None = None, look: Look | None = None
-) -> Diagnosis:
+def diagnose(case: Case, config: DiagnoseConfig | None = None, progress: Progress | None = None) -> Diagnosis:
     """Where the gap lies, which effects cause it, and how far it shrinks on runs that nothing was fitted to.
 
     Args:
         case: from `load_case`.
         config: see `DiagnoseConfig`.
         progress: called with (what, share done) now and then.
-        look: for benchmarks, see `Look`.
 
     Raises:
         GapError: if the log cannot support a diagnosis, with the reason.
@@ -93,7 +88,6 @@ def diagnose(
             **cost,
             "logged_seconds": round(sum(r.duration for r in case.runs), 2),
             "fits": selection.fitter.evaluations,
-            **(look(screen, selection) if look else {}),
         }
         tick("next experiment", 0.98)
         rivals = [concluded.fit, *concluded.equivalent] if found.equivalent else []

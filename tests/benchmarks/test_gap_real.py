@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,11 +9,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from benchmarks.diagnosis.ablation import mcnemar, right
 from benchmarks.diagnosis.hardware.bench import Bench, Ruler, Starts, _like, fit, parted, predict, with_error, write
 from benchmarks.diagnosis.hardware.errors import errors
 from benchmarks.diagnosis.hardware.logs import LOGS, PENDULUM, windows, write_case, write_windows
-from benchmarks.diagnosis.pool import take_out
 from benchmarks.diagnosis.real import SHARES, _class, accepted_sets, figures, reliability, row
 from realsim.gap import load_case
 from realsim.gap.config import DiagnoseConfig
@@ -179,30 +176,3 @@ def test_figures_of_hand_made_rows() -> None:
     assert found["nothing_put_in_nothing_named"] == [2, 3]
     assert reliability(rows)["0.6 to 0.8"] == [0.7, 0.0, 1]
     assert accepted_sets(single) == [[friction], [gain]]
-    assert right({"cls": "none", "effects": []}, said("no_gap"))
-
-
-def test_mcnemar_counts_only_cases_that_differ() -> None:
-    same = mcnemar([(True, True)] * 90 + [(False, False)] * 10)
-    assert same["p"] == 1.0
-    found = mcnemar([(True, False)] * 8 + [(False, True)] * 1 + [(True, True)] * 50)
-    assert (found["right_only_with"], found["right_only_without"]) == (8, 1)
-    assert found["p"] == pytest.approx(2 * (1 + 9) / 2**9, abs=1e-4)  # two-sided binomial of 9 at one half
-
-
-def test_a_function_that_is_taken_out_is_gone_from_every_table(monkeypatch: pytest.MonkeyPatch) -> None:
-    import types
-
-    import realsim.gap.run  # noqa: F401 - what holds the function must be there before it is put back
-    from realsim.gap.case import split
-
-    holder = types.ModuleType("realsim.gap.made_up")
-    holder.proposals = (split.split_runs, len)  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "realsim.gap.made_up", holder)
-    users = [m for n, m in sys.modules.items() if n.startswith("realsim.gap") and hasattr(m, "split_runs")]
-    for module in users:
-        monkeypatch.setattr(module, "split_runs", module.split_runs)  # put back afterwards
-    take_out("realsim.gap.case.split:split_runs")
-    assert holder.proposals == (len,)  # type: ignore[attr-defined]
-    assert list(split.split_runs(1, 2, 3)) == []
-    assert mujoco  # the engine's own modules stay importable

@@ -10,8 +10,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from benchmarks.diagnosis.pool import Job, read
 from benchmarks.diagnosis.score import MixedEnginesError, score
-from benchmarks.diagnosis.withheld import KEPT, keep, read_found
+from benchmarks.diagnosis.withheld import KEPT, keep
 from tests.truths.diagnosis.cases import STRATA, VISIBLE, Draw, Sensors, make_case, plan, same_log, site_of
 from tests.truths.diagnosis.motions import sample_times
 from tests.truths.diagnosis.plant import Plant
@@ -125,10 +126,10 @@ def test_diagnoses_of_several_engines_are_not_pooled() -> None:
 
 
 def test_a_case_that_is_refused_counts_as_one_without_an_answer(tmp_path: Path) -> None:
-    (tmp_path / "refused").mkdir()
-    (tmp_path / "refused" / "case_000.json").write_text("{}")
-    found = read_found(tmp_path, ["case_000", "case_001"])
-    assert list(found) == ["case_000"]
+    refused = {"verdict": "refused", "causes": [], "equivalent": []}
+    (tmp_path / "refused.json").write_text(json.dumps(refused))
+    found = {"case_000": read(Job(tmp_path / "case", tmp_path))}
+    assert read(Job(tmp_path / "case", tmp_path / "nowhere")) is None
     label = {"cls": "single", "robot": "arm2", "effects": [{"effect": "armature", "joints": ["a"], "parameters": []}]}
     figures = score({"case_000": label | {"equivalents": [], "visibility": [5.0]}}, found)
     assert figures["single_top1"] == [0, 1]

@@ -25,6 +25,8 @@ def test_every_picture_of_the_report_is_of_the_stored_figures() -> None:
     for name, picture in plots.pictures().items():
         assert (pages.PLOTS / name).read_text() == picture, "make readme"
         assert f"plots/{name}" in (ROOT / "benchmarks" / "REPORT.md").read_text()
+    for name, picture in plots.pictures_of_docs().items():
+        assert (pages.IMAGES / name).read_text() == picture, "make readme"
 
 
 def test_the_results_are_of_one_engine_and_small() -> None:

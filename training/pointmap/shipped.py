@@ -4,9 +4,8 @@
 
     python -m training.pointmap.train --out run --resume realsim/feedforward/onnx/realsim_pointmap.onnx
 
-goes on from there. As a command it keeps the weights of a state, or of a file, as a state of pieces:
+goes on from there. As a command it keeps the weights of such a file as a state:
 
-    python -m training.pointmap.shipped run --out training/pointmap/latest
     python -m training.pointmap.shipped pointmap.onnx --out start             for machines without onnx
 
  Weights that were stored in 8 bits come back rounded; the optimiser's moments are not there.
@@ -131,15 +130,14 @@ def any_of(path: Path) -> State:
 def main() -> None:
     """The command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("state", type=Path, help="folder of a state, or an exported .onnx file")
+    parser.add_argument("file", type=Path, help="an exported .onnx file")
     parser.add_argument("--out", type=Path, required=True)
     o = parser.parse_args()
     try:
-        files = states.save(o.out, any_of(o.state), None, "weights")
+        print(states.save(o.out, load(o.file)))
     except RealsimError as error:
         print(error.render(), file=sys.stderr)
         sys.exit(2)
-    print(f"{sum(f.stat().st_size for f in files) / 1e6:.1f} MB in {len(files)} files")
 
 
 if __name__ == "__main__":

@@ -72,7 +72,6 @@ class Options:
     log_every: int = 20
     save_every: float = 2.0
     """Minutes."""
-    keep: str = "weights"
     device: str = "auto"
     compile: str = "none"
     """What torch.compile fuses: `rays` of the generator, `all` the network too; a minute or more at first."""
@@ -96,9 +95,8 @@ class Options:
             raise RealsimError("--reuse is too large", expected=f"at most {MAX_REUSE}", found=str(self.reuse))
         if self.shape not in SHAPES:
             raise RealsimError("no such network", expected=", ".join(SHAPES), found=self.shape)
-        for name, known in (("keep", state.KEPT), ("compile", COMPILED)):
-            if (found := getattr(self, name)) not in known:
-                raise RealsimError(f"no such choice of --{name}", expected=", ".join(known), found=found)
+        if self.compile not in COMPILED:
+            raise RealsimError("no such choice of --compile", expected=", ".join(COMPILED), found=self.compile)
 
 
 @dataclass(frozen=True)
@@ -207,7 +205,7 @@ def train(o: Options, rank: Rank) -> state.State:
         now.minutes = before + spent
         log.add(now, rate, {**parts, "gradient": norm}, clock, over)
         if rank.index == 0 and (over or time.monotonic() - saved > 60 * o.save_every):
-            state.save(o.out, now, optimiser, o.keep)
+            state.save(o.out, now, optimiser)
             saved = time.monotonic()
     return now
 
