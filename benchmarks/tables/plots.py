@@ -53,10 +53,10 @@ def _closed() -> str:
     for r in stored("close_the_gap")["rows"]:
         for arm, title in arms.items() if r["course"] == "flat" else ():
             rate, (low, high) = r[arm]["rate"], r[arm]["interval"]
-            text = f"{100 * rate:.0f} %, {r[arm]['speed']:.2f} m/s"
             fill = "var(--c1)" if arm == "before" else "var(--faint)" if arm == "random" else "var(--c0)"
-            items.append(Bar(f"{r['robot']}, {title}", 100 * rate, 100 * low, 100 * high, fill, text))
-    return _alone(bars(items, x_label="% of the trials that arrive, with 95 % intervals; speed", x=(0, 150)))
+            name, speed = f"{r['robot']}, {title}", f"{r[arm]['speed']:.2f} m/s"
+            items.append(Bar(name, 100 * rate, 100 * low, 100 * high, fill, speed))
+    return _alone(bars(items, x_label="% that arrive, 95 % intervals, and speed", x=(0, 140)))
 
 
 def _learning() -> str:

@@ -72,15 +72,3 @@ def test_rows_are_kept_between_calls(tmp_path: Path, monkeypatch: pytest.MonkeyP
     data = json.loads((tmp_path / "scale_error.json").read_text())
     assert data["bar"]["mean"] == BAR["mean"]
     assert "sensor_scale_sigma" in data["noise"]
-
-
-def test_coverage_with_the_sensor_as_it_was_drawn() -> None:
-    row = {"terrain": "Stake1", "seed": 0, "source": "rgbd", "cpu_seconds": 1.0, "scale_error": 0.0, "pixel_error": 0.0}
-    part = 1.645 * 0.006
-    wide = {**row, "interval": [1 - part, 1 + part], "holds": True}
-    # 0.9 percent lies within 1.645 times the default of 0.6 percent, and outside of 1.645 times 0.5 percent.
-    rows = [{**wide, "pixel_scale": 1 / 1.009}, {**wide, "pixel_scale": 1 / 0.993}]
-    found = summary(rows)["rgbd"]
-    assert (found["coverage"], found["coverage_as_drawn"]) == (1.0, 0.5)
-    corrected = {**row, "interval": [0.999, 1.001], "holds": True, "pixel_scale": 1.0}
-    assert summary([corrected])["rgbd"]["coverage_as_drawn"] is None
