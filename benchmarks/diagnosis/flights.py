@@ -22,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from benchmarks.diagnosis.hardware.logs import write_case, write_windows
+from benchmarks.diagnosis.hardware.logs import Arrays, windows_of
 from benchmarks.diagnosis.pool import Job, diagnose_all, read
 from benchmarks.diagnosis.put_in import options, sizes
 from benchmarks.diagnosis.real import NAMES
@@ -31,6 +31,7 @@ from realsim.core.files import to_json, write_text
 from realsim.gap.provenance import engine
 from realsim.gap.recordings import read as read_recording
 from realsim.gap.simulation.control import lagged
+from tests.truths.written import write_case
 
 ARM = 0.046 / np.sqrt(2)
 """m: M1 front right, M2 back right, M3 back left, M4 front left, 46 mm from the centre."""
@@ -114,11 +115,11 @@ def make(shared: Path, folder: Path) -> list[str]:
             names.append(f"{file.parent.name}__{file.name}")
             if not (folder / names[-1] / "log.json").is_file():
                 shutil.rmtree(folder / names[-1], ignore_errors=True)
-                case = write_case(folder / names[-1], model, [], ["m1", "m2", "m3", "m4"], command_kind="torque",
-                                  base="floating")  # fmt: skip
+                runs: dict[str, Arrays] = {}
                 for k, part in enumerate(found):
                     del part["acceleration"]
-                    write_windows(case, f"{file.name}_{k}", part, WINDOW)
+                    runs |= windows_of(f"{file.name}_{k}", part, WINDOW)
+                write_case(folder / names[-1], model, runs, command_kind="torque")
     sizes_of = dict(zip("xy", np.sqrt(np.mean(apart, axis=0)).tolist(), strict=True))
     write_text(folder / DEVIATIONS, to_json({"com_offset": sizes_of}))
     return names

@@ -8,7 +8,6 @@ it names no size, the size stands here. The other nine of the eighteen reports a
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,6 +23,7 @@ from benchmarks.diagnosis.pool import Job
 from benchmarks.diagnosis.put_in import answer_all, options
 from benchmarks.store import Store
 from tests.gap.truth import ARM, Truth, make_case
+from tests.truths.written import write_case
 
 WHEEL = """
 <mujoco>
@@ -96,13 +96,8 @@ def make(folder: Path, report: Report, seed: int) -> Path:
 
 def make_wheel(folder: Path, seed: int) -> Path:
     """Steps and waves of velocity, carried out a second late."""
-    (folder / "runs").mkdir(parents=True)
-    (folder / "model.xml").write_text(WHEEL)
-    log = {"joint_names": ["wheel"], "actuator_names": ["drive"], "command_kind": "velocity", "base": "fixed",
-           "torque_kind": "none", "imu_site": None, "contact_bodies": []}  # fmt: skip
-    (folder / "log.json").write_text(json.dumps(log))
     model, rng = mujoco.MjModel.from_xml_string(WHEEL), np.random.default_rng(seed)
-    time = 0.01 * np.arange(600)
+    time, runs = 0.01 * np.arange(600), {}
     for number in range(5):
         steps = np.repeat(rng.uniform(-4, 4, 10), 60)
         waves = 3 * np.sin(2 * np.pi * rng.uniform(0.2, 0.6) * time + rng.uniform(0, 6))
@@ -114,10 +109,13 @@ def make_wheel(folder: Path, seed: int) -> Path:
             vel.append(data.qvel[0])
             data.ctrl[0] = value
             mujoco.mj_step(model, data, 5)
-        np.savez(folder / "runs" / f"run_{number}.npz", time=time, command=command[:, None],
-                 joint_pos=(pos + rng.normal(0, 3e-4, 600))[:, None],
-                 joint_vel=(vel + rng.normal(0, 0.02, 600))[:, None])  # fmt: skip
-    return folder
+        runs[f"run_{number}"] = {
+            "time": time,
+            "command": command[:, None],
+            "joint_pos": (pos + rng.normal(0, 3e-4, 600))[:, None],
+            "joint_vel": (vel + rng.normal(0, 0.02, 600))[:, None],
+        }
+    return write_case(folder, WHEEL, runs, command_kind="velocity")
 
 
 def judged(report: Report, row: dict[str, Any]) -> str:

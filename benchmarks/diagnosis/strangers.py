@@ -9,7 +9,6 @@ this engine has answered is not diagnosed again.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -35,6 +34,7 @@ from tests.truths.small_robots import (
     TURRET,
     WRIST,
 )
+from tests.truths.written import write_case
 
 RESULTS = Path(__file__).parents[1] / "results" / "gap_strangers.json"
 FINE = 5e-4
@@ -266,15 +266,11 @@ def make(name: str, folder: Path) -> Path:
     case.change(spec)
     spec.option.timestep = FINE
     real = spec.compile()
-    (folder / "runs").mkdir(parents=True, exist_ok=True)
-    (folder / "model.xml").write_text(robot.xml)
-    log = {"joint_names": joints, "actuator_names": [nominal.actuator(i).name for i in range(nominal.nu)],
-           "command_kind": robot.kind, "base": robot.base, "torque_kind": "none"}  # fmt: skip
-    (folder / "log.json").write_text(json.dumps(log))
-    for k, kind in enumerate(RUNS):
-        data = _run(real, robot, case, joints, _wanted(kind, robot, case.log.seconds, rng), rng)
-        np.savez(folder / "runs" / f"run_{k + 1}.npz", **data)
-    return folder
+    runs = {
+        f"run_{k + 1}": _run(real, robot, case, joints, _wanted(kind, robot, case.log.seconds, rng), rng)
+        for k, kind in enumerate(RUNS)
+    }
+    return write_case(folder, robot.xml, runs, command_kind=robot.kind, base=robot.base)
 
 
 def _scatter(spec: Any, rng: np.random.Generator) -> None:

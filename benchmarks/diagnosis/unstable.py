@@ -10,7 +10,6 @@ mass 1 cm off; the last one asked for parts that also end where the replay leave
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 from collections.abc import Sequence
@@ -28,6 +27,7 @@ from benchmarks.diagnosis.pool import Job, diagnose_all, read
 from benchmarks.diagnosis.score import hit
 from benchmarks.store import Row, Store
 from tests.truths.drone import DRONE, fly
+from tests.truths.written import write_case
 
 ROOT = Path(__file__).resolve().parents[2]
 KEY = ("case", "engine", "replay")
@@ -106,21 +106,9 @@ def make(k: int, folder: Path) -> None:
     _apply(spec, error)
     late = error.size if error.effect == "command_delay" else 0.0
     flying = error.robot == "drone"
-    log = {
-        "joint_names": ["tilt"] if flying else ["pivot"],
-        "actuator_names": [a.name for a in spec.actuators],
-        "command_kind": "torque",
-        "base": "floating" if flying else "fixed",
-        "torque_kind": "none",
-        "imu_site": "imu" if flying else None,
-    }
-    (folder / "runs").mkdir(parents=True)
-    (folder / "model.xml").write_text(xml)
     model = spec.compile()
-    for run in range(6):
-        arrays = (fly if flying else balance)(model, rng, late)
-        np.savez(folder / "runs" / f"run_{run}.npz", **arrays)
-    (folder / "log.json").write_text(json.dumps(log))
+    runs = {f"run_{k}": (fly if flying else balance)(model, rng, late) for k in range(6)}
+    write_case(folder, xml, runs, command_kind="torque", imu_site="imu" if flying else None)
 
 
 def _apply(spec: Any, error: Error) -> None:

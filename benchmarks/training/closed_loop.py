@@ -42,6 +42,7 @@ import realsim as rs
 from benchmarks.store import Store
 from realsim import DiagnoseConfig
 from realsim.core.files import to_json, write_text
+from tests.truths.written import write_case
 from trainer import terrain
 from trainer.commands.common import find_terrain
 from trainer.commands.task_file import load_task
@@ -224,22 +225,14 @@ RUNS, SECONDS, RATE = 4, 3.0, 100
 NOISE = {"joint_pos": 3e-4, "joint_vel": 0.01, "joint_torque": 0.1, "base_pos": 3e-4}
 
 
-def write_case(real: Real, name: str, folder: Path) -> None:
+def write_log(real: Real, name: str, folder: Path) -> None:
     """Runs of the robot and the model that is believed in, as `realsim diagnose` reads them."""
-    (folder / "runs").mkdir(parents=True, exist_ok=True)
     nominal = ROBOTS[name]()
     believed = _stand(nominal)
     believed.compile()
-    write_text(folder / "model.xml", believed.to_xml())
-    names = list(nominal.joints)
-    write_text(folder / "log.json", to_json({
-        "joint_names": names, "actuator_names": names, "command_kind": "position", "command_hold": "zoh",
-        "base": "fixed" if nominal.upper_body else "floating", "torque_kind": "measured", "imu_site": None,
-        "contact_bodies": [], "notes": "",
-    }))  # fmt: skip
-    model = _stand(real.robot(name)).compile()
-    for k in range(RUNS):
-        np.savez(folder / "runs" / f"run_{k}.npz", **record(model, nominal, real.delay, np.random.default_rng(k)))
+    model, names = _stand(real.robot(name)).compile(), list(nominal.joints)
+    runs = {f"run_{k}": record(model, nominal, real.delay, np.random.default_rng(k)) for k in range(RUNS)}
+    write_case(folder, believed.to_xml(), runs, joint_names=names, actuator_names=names, torque_kind="measured")
 
 
 def _stand(robot: TrainedRobot) -> Any:
@@ -388,7 +381,7 @@ class Loop:
 
     def diagnosed(self, real: Real, robot: str, folder: Path) -> dict[str, Any]:
         if not (folder / "case" / "log.json").is_file():
-            write_case(real, robot, folder / "case")
+            write_log(real, robot, folder / "case")
         config = DiagnoseConfig(effects=tuple(self.args.effects), threads=1)
         found = rs.diagnose(folder / "case", folder / "diagnosis", config, overwrite=True)
         return {

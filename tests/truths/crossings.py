@@ -6,7 +6,6 @@ robot, its sensors and the estimate of its base err as real ones do. Nothing her
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ import numpy as np
 
 from realsim.core.geometry import R_to_quat, exp_so3, log_so3, quat_to_R
 from realsim.robots.quadruped import CALF_M, FOOT_RADIUS_M, HIP_AT, LEGS, THIGH_M, THIGH_OFFSET_M, quadruped
+from tests.truths.written import write_case
 
 SPACING = 2 * HIP_AT[0] / 3
 """m between stakes along the way: the hind feet stand three stakes behind the front ones."""
@@ -369,26 +369,21 @@ def make_case(
 ) -> Path:
     """Write `folder`/case and `folder`/scene.xml; returns the case's folder."""
     case = folder / "case"
-    (case / "runs").mkdir(parents=True, exist_ok=True)
+    folder.mkdir(parents=True, exist_ok=True)
     (folder / "scene.xml").write_text(scene_xml(terrain_seed))
     spec = robot_spec()
     _floor(spec)
-    spec.compile()
-    (case / "model.xml").write_text(spec.to_xml())
     model = spec.compile()
     names = [model.actuator(i).name for i in range(model.nu)]
-    said: dict[str, Any] = {
-        "joint_names": names, "actuator_names": names, "command_kind": "position", "command_hold": "zoh",
-        "base": "floating", "torque_kind": "measured", "imu_site": None,
-        "contact_bodies": [f"{leg}_foot" for leg in LEGS], "notes": "crawls over stakes, simulated",
-    }  # fmt: skip
+    said: dict[str, Any] = {}
     if depth:
         f = focal(model)
         said["depth_camera"] = {
             "camera": "head", "fx": f, "fy": f, "cx": (DEPTH_SHAPE[1] - 1) / 2, "cy": (DEPTH_SHAPE[0] - 1) / 2,
             "noise": [0.002, 0.0, 0.002], "far": DEPTH_FAR,
         }  # fmt: skip
-    (case / "log.json").write_text(json.dumps(said))
+    feet = [f"{leg}_foot" for leg in LEGS]
+    write_case(case, spec.to_xml(), {}, joint_names=names, torque_kind="measured", contact_bodies=feet, **said)
     for i in range(crossings):
         end = cross(case, f"crossing_{i + 1:02d}", truth, terrain_seed, 100 * seed + i, cycles, depth)
         if not end["upright"]:

@@ -28,5 +28,5 @@ def write_case(folder: Path, xml: str, runs: Mapping[str, Mapping[str, Any]], **
     (folder / "model.xml").write_text(xml)
     (folder / "log.json").write_text(json.dumps(facts | log))
     for name, run in runs.items():
-        np.savez(folder / "runs" / f"{name}.npz", **run)
+        np.savez_compressed(folder / "runs" / f"{name}.npz", **run)
     return folder

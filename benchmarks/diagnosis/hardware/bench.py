@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -16,6 +16,7 @@ from realsim.core.errors import RealsimError
 from realsim.gap import Case, DiagnoseConfig, load_case
 from realsim.gap.case.motion import estimate
 from realsim.gap.simulation.simulate import Simulator, measured
+from tests.truths.written import write_case
 
 FREE = {
     "position": (
@@ -395,17 +396,9 @@ def _runs(tracks: Tracks) -> bool:
 
 def write(case: Case, folder: Path) -> None:
     """The case as a folder of the contract."""
-    import json
-
-    (folder / "runs").mkdir(parents=True)
-    (folder / "model.xml").write_text(case.spec.to_xml())
-    log = {
-        "joint_names": list(case.joint_names), "actuator_names": list(case.actuator_names),
-        "command_kind": case.command_kind, "base": case.base, "torque_kind": case.torque_kind,
-        "imu_site": case.imu_site, "contact_bodies": list(case.contact_bodies),
-    }  # fmt: skip
-    (folder / "log.json").write_text(json.dumps(log, indent=1) + "\n")
+    runs = {}
     for run in case.runs:
-        arrays: Mapping[str, Any] = {"time": run.time, "command": run.command, **run.signals}
         given = {k: v for k in ("init_qpos", "init_qvel", "enabled") if (v := getattr(run, k)) is not None}
-        np.savez_compressed(folder / "runs" / f"{run.name}.npz", allow_pickle=False, **arrays, **given)
+        runs[run.name] = {"time": run.time, "command": run.command, **run.signals, **given}
+    names = ("joint_names", "actuator_names", "command_kind", "base", "torque_kind", "imu_site", "contact_bodies")
+    write_case(folder, case.spec.to_xml(), runs, **{n: getattr(case, n) for n in names})

@@ -6,18 +6,17 @@ is known of a robot (its data sheet, its authors' description) stands in its mod
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
 
 from tests.truths.small_robots import SERVO
+from tests.truths.written import write_case
 
 # T-Motor AK80-6 with a half-metre rod and a bob; figures of the test bench's own description.
 PENDULUM = """
@@ -60,30 +59,30 @@ def pendulum(names: tuple[str, ...], seconds: float) -> Callable[[Path, Path], P
     """Runs driven by the measured torque, the first `seconds` of each, in short windows: nothing holds it up there."""
 
     def make(logs: Path, folder: Path) -> Path:
-        case = write_case(folder, PENDULUM, ["swing"], ["swing_motor"], command_kind="torque")
+        runs: dict[str, Arrays] = {}
         for name in names:
             with np.load(logs / "dfki_simple_pendulum" / f"{name}.npz") as file:
                 time, position, velocity, torque = file["data"].T
             new = np.concatenate([[True], np.diff(time) > 0]) & (time <= seconds)
             columns = {"command": torque, "joint_pos": position, "joint_vel": velocity}
             run = {"time": time[new]} | {k: v[new, None] for k, v in columns.items()}
-            write_windows(case, name, run, UNSTABLE)
-        return case
+            runs |= windows_of(name, run, UNSTABLE)
+        return write_case(folder, PENDULUM, runs, command_kind="torque")
 
     return make
 
 
 def servo(logs: Path, folder: Path) -> Path:
     """A hobby servo; where it was switched off, the command is missing and `enabled` is 0."""
-    case = write_case(folder, SERVO, ["servo"], ["servo_loop"])
+    runs: dict[str, Arrays] = {}
     for path in sorted((logs / "bam_sts3250").glob("*.npz")):
         with np.load(path) as file:
             column = dict(zip(file["cols"].tolist(), file["data"].T, strict=True))
         new = np.concatenate([[True], np.diff(column["timestamp"]) > 0])
         names = {"command": "goal_position", "joint_pos": "position", "joint_vel": "speed", "enabled": "torque_enable"}
         run = {"time": column["timestamp"][new]} | {k: column[v][new, None] for k, v in names.items()}
-        write_windows(case, path.stem, run)
-    return case
+        runs |= windows_of(path.stem, run)
+    return write_case(folder, SERVO, runs)
 
 
 def leg(name: str) -> Callable[[Path, Path], Path]:
@@ -107,27 +106,16 @@ def leg(name: str) -> Callable[[Path, Path], Path]:
             actuator = spec.add_actuator(name=f"{joint}_servo", target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
             actuator.set_to_position(kp=float(data["kp"]), kv=float(data["kd"]))
         spec.compile()
-        case = write_case(folder, spec.to_xml(), joints, [f"{j}_servo" for j in joints])
         arrays = {"command": data["des_dof_pos"][:, columns], "joint_pos": data["dof_pos"][:, columns]}
-        write_windows(case, "sweep", {"time": data["time"].astype(float)} | arrays)
-        return case
+        runs = windows_of("sweep", {"time": data["time"].astype(float)} | arrays)
+        return write_case(folder, spec.to_xml(), runs, joint_names=joints)
 
     return make
 
 
-def write_case(folder: Path, xml: str, joints: list[str], actuators: list[str], **said: str) -> Path:
-    """model.xml, log.json and an empty runs/."""
-    (folder / "runs").mkdir(parents=True)
-    (folder / "model.xml").write_text(xml)
-    log: dict[str, Any] = {"command_kind": "position", "base": "fixed", "torque_kind": "none", "imu_site": None}
-    log |= {"contact_bodies": [], "joint_names": joints, "actuator_names": actuators} | said
-    (folder / "log.json").write_text(json.dumps(log, indent=1) + "\n")
-    return folder
-
-
-def write_windows(case: Path, name: str, arrays: Arrays, seconds: float = WINDOW) -> None:
-    for i, part in enumerate(windows(arrays, seconds)):
-        np.savez_compressed(case / "runs" / f"{name}_{i:02d}.npz", allow_pickle=False, **part)
+def windows_of(name: str, arrays: Arrays, seconds: float = WINDOW) -> dict[str, Arrays]:
+    """The windows of a long run, each a run with a number behind the name."""
+    return {f"{name}_{i:02d}": part for i, part in enumerate(windows(arrays, seconds))}
 
 
 LEGS = {"FL": "development", "FR": "report", "RL": "report", "RR": "report"}

@@ -18,6 +18,7 @@ from tests.truths.diagnosis.motions import KINDS, motion, sample_times
 from tests.truths.diagnosis.plant import Plant, Trace
 from tests.truths.diagnosis.robots import ROBOTS, Robot
 from tests.truths.diagnosis.truth import Truth
+from tests.truths.written import write_case
 
 STRATA = {"none": 0.2, "single": 0.4, "double": 0.15, "outside": 0.125, "confounded": 0.125}
 """Stratum -> share of the cases."""
@@ -340,24 +341,16 @@ def write_log(
     rng: np.random.Generator,
 ) -> None:
     """Traces as a log in the contract's form."""
-    (folder / "runs").mkdir(parents=True)
-    (folder / "model.xml").write_text(robot.xml)
-    log = {
-        "joint_names": robot.joints,
-        "actuator_names": robot.actuators,
-        "command_kind": "position",
-        "command_hold": "zoh",
-        "base": robot.base,
-        "torque_kind": sensors.torque_kind,
-        "imu_site": robot.imu_site,
-        "contact_bodies": robot.contact_bodies,
-        "notes": "Drives close their loop at 1 kHz on motor-side encoders; joint_pos is the link side. "
-        "joint_torque, where given, is the drive's torque before gear friction.",
+    runs = {
+        f"run_{i + 1:02d}": _record(robot, sensors, truth, times, command, trace, rng)
+        for i, ((times, command), trace) in enumerate(zip(commands, traces, strict=True))
     }
-    (folder / "log.json").write_text(json.dumps(log, indent=1) + "\n")
-    for i, ((times, command), trace) in enumerate(zip(commands, traces, strict=True)):
-        arrays = _record(robot, sensors, truth, times, command, trace, rng)
-        np.savez_compressed(folder / "runs" / f"run_{i + 1:02d}.npz", allow_pickle=False, **arrays)
+    write_case(
+        folder, robot.xml, runs, joint_names=robot.joints, actuator_names=robot.actuators, base=robot.base,
+        torque_kind=sensors.torque_kind, imu_site=robot.imu_site, contact_bodies=robot.contact_bodies,
+        notes="Drives close their loop at 1 kHz on motor-side encoders; joint_pos is the link side. "
+        "joint_torque, where given, is the drive's torque before gear friction.",
+    )  # fmt: skip
 
 
 def _record(
