@@ -25,6 +25,8 @@ LAYOUTS = Registry(
         "sevenscenes": "realsim.capture.layouts.sevenscenes:LAYOUT",
         "replica": "realsim.capture.layouts.replica:LAYOUT",
         "scannet": "realsim.capture.layouts.scannet:LAYOUT",
+        "bop": "realsim.capture.layouts.bop:LAYOUT",
+        "rtabmap": "realsim.capture.layouts.rtabmap:LAYOUT",
         "pcd": "realsim.capture.layouts.pcd:LAYOUT",
         "nerfstudio": "realsim.capture.layouts.nerfstudio:LAYOUT",
         "polycam": "realsim.capture.layouts.polycam:LAYOUT",

@@ -19,7 +19,7 @@ from realsim.core.types import F64, Intrinsics
 
 MATRIX_KEYS = ("intrinsic_matrix", "camera_matrix", "K", "k", "intrinsics", "intrinsic", "matrix")
 WIDTH_KEYS, HEIGHT_KEYS = ("width", "image_width", "w"), ("height", "image_height", "h")
-DEPTH_UNIT_KEYS = ("depth_scale", "depth_unit", "depth_factor", "png_depth_scale", "scale")
+DEPTH_UNIT_KEYS = ("depth_scale", "depth_unit", "depth_factor", "png_depth_scale", "DepthMapFactor", "scale")
 FIELD_OF_VIEW_DEG = (5.0, 170.0)
 OFF_CENTRE = (0.1, 0.2)
 """Of the image's size, that a principal point may lie off the middle: beyond the first it is doubtful; beyond the
@@ -168,16 +168,21 @@ def read_camera(path: Path) -> Camera:
     if suffix == ".json":
         return camera_from_mapping(read_json(path), path).y_down()
     if suffix in (".yaml", ".yml"):
-        # OpenCV's writer starts its files with a directive and tags matrices, neither of which plain YAML knows.
-        text = re.sub(r"^%YAML.*$|!!opencv-matrix", "", read_text(path, 2**20), flags=re.MULTILINE)
-        return camera_from_mapping(parse_yaml(text, path), path).y_down()
+        return camera_from_mapping(read_opencv_yaml(path), path).y_down()
     return camera_from_text(read_text(path, 2**20), path).y_down()
 
 
+def read_opencv_yaml(path: Path) -> Any:
+    """Parsed YAML; OpenCV starts it with a directive and tags matrices, neither of which plain YAML knows."""
+    return parse_yaml(re.sub(r"^%YAML.*$|!!opencv-matrix", "", read_text(path, 2**20), flags=re.MULTILINE), path)
+
+
 def camera_from_mapping(data: Any, source: Path) -> Camera:
-    """A camera from parsed JSON or YAML: a matrix, or fx fy cx cy (also fl_x, ppx), perhaps one level down."""
+    """A camera from parsed JSON or YAML: a matrix, or fx fy cx cy (also fl_x, ppx, ORB-SLAM's Camera.fx or Camera1.fx),
+    perhaps one level down."""
     if not isinstance(data, Mapping):
         raise _no_camera(source, "a list or a single value")
+    data = {re.sub(r"^(Camera1?|RGBD)\.", "", str(key)): value for key, value in data.items()}
     for inner in ("intrinsics", "intrinsic", "camera", "depth", "depth_intrinsics", "depth_camera"):
         if isinstance(data.get(inner), Mapping) and (_separate(data[inner]) or _matrix(data[inner])) is not None:
             return camera_from_mapping({**data, inner: None, **data[inner]}, source)

@@ -3,6 +3,12 @@ was measured; signed distance fusion of the depth in voxel blocks is the plain a
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+
 import numpy as np
 
 from realsim.core.errors import MeshError
@@ -61,11 +67,44 @@ def screened_poisson(points: Points, resolution: float) -> Surface:
             found=f"{resolution} m",
             hint="set --resolution",
         )
-    with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
+    with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error), without_solver_warnings():
         mesh, _ = o3d.geometry.TriangleMesh.create_from_point_cloud_poisson(
             cloud, depth=depth, scale=resolution * 2**depth / extent, n_threads=1, point_weight=POINT_WEIGHT
         )
     return Surface(np.asarray(mesh.vertices).copy(), np.asarray(mesh.triangles).astype(np.int32))
+
+
+WITHOUT_WARNINGS = """
+import sys
+warning = False
+for line in sys.stdin.buffer:
+    warning = line.startswith(b"[WARNING] ") or (warning and line.startswith(b" " * 10))
+    if not warning:
+        sys.stderr.buffer.write(line)
+"""
+"""A program that hands text on without PoissonRecon's warnings: a line with a place in its code, and indented ones."""
+
+
+@contextmanager
+def without_solver_warnings() -> Iterator[None]:
+    """Keeps the warnings that PoissonRecon writes to the error stream, past Open3D's verbosity, out of the terminal.
+
+    A process of its own reads the stream: the solver holds Python's lock, and may end this process with a last word.
+    """
+    sys.stderr.flush()
+    stream = os.dup(2)
+    reader = subprocess.Popen([sys.executable, "-ISc", WITHOUT_WARNINGS], stdin=subprocess.PIPE)
+    assert reader.stdin is not None
+    os.dup2(reader.stdin.fileno(), 2)
+    reader.stdin.close()
+    try:
+        yield
+    finally:
+        sys.stderr.flush()
+        os.dup2(stream, 2)
+        os.close(stream)
+        with suppress(subprocess.TimeoutExpired):  # a process that began meanwhile keeps the stream open
+            reader.wait(5)
 
 
 def fused_distance(aligned: AlignedScene, resolution: float, min_weight: float = 3.0) -> Surface:

@@ -12,7 +12,7 @@ import pytest
 from realsim.capture import LAYOUTS, CaptureConfig, inspect, read
 from realsim.capture.layout import Recognition
 from realsim.capture.recognition import recognise
-from realsim.core.errors import CaptureError, UnknownNameError
+from realsim.core.errors import CaptureError, PoseError, RealsimError, UnknownNameError
 from realsim.core.geometry import is_rotation
 from realsim.core.types import FrameSet, Intrinsics
 
@@ -23,10 +23,12 @@ from .writers import (
     WRITERS,
     camera_points,
     column_major,
+    write_bop,
     write_folders,
     write_open3d,
     write_pcd,
     write_plain,
+    write_rtabmap,
     write_scannet,
     write_sevenscenes,
     write_tum,
@@ -212,6 +214,59 @@ def test_tum_uses_the_pose_at_the_colour_images_time(tmp_path):
     assert "no pose" in capture.dropped[0].reason
 
 
+def test_tum_takes_camera_and_depth_unit_from_the_settings_of_orb_slam(tmp_path):
+    views = walk(2)
+    write_tum(tmp_path, views)
+    (tmp_path / "calibration.txt").unlink()
+    (tmp_path / "TUM3.yaml").write_text(ORB_SLAM.format("Camera", "", 5000))
+    capture = frames_of(tmp_path)
+    assert capture.frames[0].intrinsics.fx == 88
+    assert any("TUM3.yaml" in a and "0.0002" in a for a in capture.assumptions)
+    np.testing.assert_allclose(capture.frames[0].depth(), views[0].depth, atol=2e-4)
+
+
+@pytest.mark.parametrize("by", ["node", "time"])
+@pytest.mark.parametrize("of", ["poses", "camera_poses"])
+def test_rtabmap_puts_the_camera_on_the_robot_where_poses_are_the_robots(by, of, tmp_path):
+    views = walk(4)
+    write_rtabmap(tmp_path, views, by, of)
+    rows = (tmp_path / f"map_{of}.txt").read_text().splitlines()
+    (tmp_path / f"map_{of}.txt").write_text("\n".join([rows[0], *rows[:1:-1]]))  # another order, one pose less
+    frames = {f.name: f for f in frames_of(tmp_path).frames}
+    assert len(frames) == 3
+    for i, view in enumerate(views[1:], 1):
+        name = f"{3 * i + 1}" if by == "node" else f"{view.time:.6f}"
+        np.testing.assert_allclose(frames[name].T_world_camera, view.T_world_camera, atol=1e-6)
+
+
+def test_rtabmap_matrices_without_a_name_need_as_many_images(tmp_path):
+    views = walk(3)
+    write_rtabmap(tmp_path, views, of="camera_poses")
+    table = np.array([v.T_world_camera[:3].ravel() for v in views])
+    np.savetxt(tmp_path / "map_camera_poses.txt", table)
+    np.testing.assert_allclose(frames_of(tmp_path).frames[2].T_world_camera, views[2].T_world_camera, atol=1e-6)
+    np.savetxt(tmp_path / "map_camera_poses.txt", table[1:])
+    with pytest.raises(PoseError, match="another number of poses"):
+        frames_of(tmp_path)
+
+
+def test_bop_names_what_is_wrong_with_its_cameras(tmp_path):
+    write_bop(tmp_path, walk(2))
+    path = tmp_path / "scene_camera.json"
+    good = json.loads(path.read_text())
+    for key, value, error in (
+        ("depth_scale", 0.1, "not one depth scale"),
+        ("cam_K", [1, 2], "wrong length"),
+        ("cam_t_w2c", None, "nine and translation of three"),
+    ):
+        path.write_text(json.dumps({**good, "1": {**good["1"], key: value}}))
+        try:
+            said = " ".join(d.reason for d in frames_of(tmp_path).dropped)
+        except RealsimError as raised:
+            said = str(raised)
+        assert error in said
+
+
 def test_sevenscenes_needs_intrinsics_and_offers_the_datasets_own(tmp_path):
     write_sevenscenes(tmp_path, walk(3))
     (tmp_path / "camera-intrinsics.txt").unlink()
@@ -327,6 +382,18 @@ def test_pcd_reads_open3d_compressed_clouds(tmp_path):
     np.testing.assert_allclose(frames_of(tmp_path).frames[0].depth(), view.depth, atol=1e-6)
 
 
+ORB_SLAM = """%YAML:1.0
+#------
+Camera.type: "PinHole"
+{0}.fx: 88.0
+{0}.fy: 87.0
+{0}.cx: 46.5
+{0}.cy: 37.0
+{0}.k1: 0.0
+Camera.width: 96
+Camera.height: 72
+{1}DepthMapFactor: {2}.0
+"""
 ROWS = "88., 0., 46.5, 0., 87., 37., 0., 0., 1."
 
 
@@ -343,6 +410,8 @@ ROWS = "88., 0., 46.5, 0., 87., 37., 0., 0., 1."
             f"image_width: 96\nimage_height: 72\ncamera_matrix:\n  data: [{ROWS}]\n",
         ),
         ("intrinsics.yml", f"%YAML:1.0\n---\nK: !!opencv-matrix\n  rows: 3\n  data: [{ROWS}]\n"),
+        ("intrinsics.yaml", ORB_SLAM.format("Camera", "", 1000)),
+        ("intrinsics.yaml", ORB_SLAM.format("Camera1", "RGBD.", 1000)),
     ],
 )
 def test_plain_intrinsics_in_many_spellings(name, text, tmp_path):

@@ -110,6 +110,55 @@ def write_plain(folder: Path, views: Sequence[View]) -> None:
     )
 
 
+def write_bop(folder: Path, views: Sequence[View]) -> None:
+    write_folders(folder, views, "rgb")
+    cameras = {}
+    for i, view in enumerate(views):
+        T = invert_T(view.T_world_camera)
+        pose = {"cam_R_w2c": T[:3, :3].ravel().tolist(), "cam_t_w2c": (1000 * T[:3, 3]).tolist()}
+        cameras[str(i)] = {"cam_K": CAMERA.K.ravel().tolist(), "depth_scale": 1.0, **pose}
+    (folder / "scene_camera.json").write_text(json.dumps(cameras))
+
+
+RTABMAP_CALIBRATION = """%YAML:1.0
+---
+camera_name: "{name}"
+image_width: {width}
+image_height: {height}
+camera_matrix:
+   rows: 3
+   cols: 3
+   data: [ {fx}, 0., {cx}, 0., 0., {fy}, {cy}, 0., 0. ]
+projection_matrix:
+   rows: 3
+   cols: 4
+   data: [ {fx}, 0., {cx}, 0., 0., {fy}, {cy}, 0., 0., 0., 1., 0. ]
+local_transform:
+   rows: 3
+   cols: 4
+   data: [ 0., 0., 1., 0.1, -1., 0., 0., 0., 0., -1., 0., 0.2 ]
+"""
+ON_ROBOT = np.array([[0.0, 0, 1, 0.1], [-1, 0, 0, 0], [0, -1, 0, 0.2], [0, 0, 0, 1]])
+"""The camera of RTABMAP_CALIBRATION, in the robot."""
+
+
+def write_rtabmap(folder: Path, views: Sequence[View], by: str = "node", of: str = "poses") -> None:
+    """The names of the files are `node` or `time`; the poses of the robot (`poses`) or of the camera."""
+    (folder / "map_calib").mkdir(parents=True)
+    rows = ["#timestamp x y z qx qy qz qw id"]
+    for i, view in enumerate(views):
+        name = f"{3 * i + 1}" if by == "node" else f"{view.time:.6f}"
+        write_image(folder / f"map_rgb/{name}.png", view.color)
+        write_image(folder / f"map_depth/{name}.png", millimetres(view.depth))
+        c = CAMERA
+        figures = {"fx": c.fx, "fy": c.fy, "cx": c.cx, "cy": c.cy, "width": c.width, "height": c.height}
+        (folder / f"map_calib/{name}.yaml").write_text(RTABMAP_CALIBRATION.format(name=name, **figures))
+        T = view.T_world_camera @ (invert_T(ON_ROBOT) if of == "poses" else np.eye(4))
+        w, x, y, z = R_to_quat(T[:3, :3])
+        rows.append(" ".join(f"{v:.9f}" for v in (view.time, *T[:3, 3], x, y, z, w)) + f" {3 * i + 1}")
+    (folder / f"map_{of}.txt").write_text("\n".join(rows) + "\n")
+
+
 def write_pcd_folder(folder: Path, views: Sequence[View]) -> None:
     for i, view in enumerate(views):
         write_pcd(folder / f"cloud{i:03d}.pcd", camera_points(view), view.color)
@@ -356,6 +405,8 @@ WRITERS: dict[str, Callable[[Path, Sequence[View]], object]] = {
     "sevenscenes": write_sevenscenes,
     "replica": write_replica,
     "scannet": write_scannet,
+    "bop": write_bop,
+    "rtabmap": write_rtabmap,
     "pcd": write_pcd_folder,
     "plain": write_plain,
     "nerfstudio": write_nerfstudio,

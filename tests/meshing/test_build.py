@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from realsim.core.geometry import exp_so3, make_T
 from realsim.core.rays import raycasting_scene
 from realsim.core.types import AlignedScene, TerrainMesh
 from realsim.meshing import METHODS, MeshConfig, build, solid
+from realsim.meshing.methods import without_solver_warnings
 from realsim.meshing.quality import check
 from realsim.meshing.surface import Surface
 
@@ -191,3 +193,13 @@ def _inside(surface: Surface, points: np.ndarray) -> np.ndarray:
 
     query = o3d.core.Tensor.from_numpy(points.astype(np.float32))
     return raycasting_scene(surface.vertices, surface.triangles).compute_occupancy(query).numpy() > 0
+
+
+def test_warnings_of_the_solver_stay_out_of_the_terminal_and_nothing_else_does(capfd):
+    with without_solver_warnings():
+        os.write(2, b"before\n[WARNING] /root/a.inl (Line 1)\n          Extract\n          bad average roots: 2\n")
+        os.write(2, b"[ERROR] /root/b.inl (Line 2)\n        Extract\n          no roots\n")
+    os.write(2, b"after\n")
+    assert (
+        capfd.readouterr().err == "before\n[ERROR] /root/b.inl (Line 2)\n        Extract\n          no roots\nafter\n"
+    )

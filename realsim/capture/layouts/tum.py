@@ -16,7 +16,7 @@ from realsim.capture.association import associate, interpolate_poses
 from realsim.capture.config import CaptureConfig
 from realsim.capture.intrinsics import Camera, no_intrinsics, read_camera
 from realsim.capture.layout import Layout, Recognition
-from realsim.capture.listing import Pair, first_file, pose_file
+from realsim.capture.listing import Pair, first_file, pose_file, single_file
 from realsim.capture.poses import no_common_time, read_rows
 from realsim.core.errors import CaptureError, PoseError
 from realsim.core.files import inside, read_text
@@ -59,7 +59,8 @@ def recognise(folder: Path) -> Recognition:
 
 
 def intrinsics_file(folder: Path) -> Path | None:
-    return first_file(folder, INTRINSICS)
+    """One of the usual names, or the only YAML file, as ORB-SLAM's settings (TUM3.yaml)."""
+    return first_file(folder, INTRINSICS) or single_file(folder, (".yaml", ".yml"))
 
 
 def read(folder: Path, config: CaptureConfig) -> FrameSet:
