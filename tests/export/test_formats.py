@@ -309,6 +309,15 @@ def test_unknown_formats_and_folders_without_a_scene(folder: Path, tmp_path: Pat
         export_scene(tmp_path, ["glb"])
 
 
+def test_an_exporter_that_names_no_files_is_refused(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(EXPORTERS.own, "mine", "builtins:print")  # writes nothing, and returns None
+    with pytest.raises(ExportError, match="exporter of mine"):
+        export_scene(folder, "mine", tmp_path / "out")
+    assert not (tmp_path / "out" / "mine").exists()
+
+
 def test_a_scene_with_entities_is_refused(folder: Path, tmp_path: Path) -> None:
     shutil.copytree(folder, tmp_path / "scene")
     (tmp_path / "scene" / "scene.xml").write_text('<!DOCTYPE a [<!ENTITY b "c">]><mujoco>&b;</mujoco>')

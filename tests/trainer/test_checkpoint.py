@@ -99,6 +99,12 @@ def test_other_versions_other_files_and_code_are_refused(tmp_path: Path) -> None
         checkpoint.load(path)
     with pytest.raises(RealsimError, match="cannot be read"):
         checkpoint.load(tmp_path / "absent.pt")
+    mesh = tmp_path / "stairs.obj"
+    mesh.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    with pytest.raises(RealsimError, match="not a policy") as caught:
+        checkpoint.load(mesh)
+    assert caught.value.found == "a mesh"
+    assert "realsim contact" in str(caught.value.hint)
 
 
 def test_weights_that_are_not_numbers_are_refused(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 import torch
 
 from realsim.core.files import archive_damage, check_size, write_bytes
+from realsim.core.recognise import recognise
 from trainer.errors import TrainerError
 from trainer.fields import filled
 from trainer.ppo import policy as policies
@@ -99,6 +100,15 @@ def _weights(policy: Policy) -> dict[str, Any]:
 
 def read(path: Path) -> dict[str, Any]:
     """The dictionary of a checkpoint, on the CPU, after its format and version were checked."""
+    kind = recognise(path)
+    if kind is not None and kind.name != "checkpoint":
+        raise TrainerError(
+            "not a policy",
+            file=path,
+            expected="policy.pt of a training, or its policy.onnx",
+            found=kind.what,
+            hint=kind.way_out(path),
+        )
     check_size(path, MAX_BYTES)
     if (damage := archive_damage(path)) is not None:
         raise _damaged(path, damage)

@@ -97,6 +97,8 @@ def export_scene(scene: Path, to: str | Sequence[str], out: Path | None = None, 
                 output_folder(target / name, overwrite=overwrite) as folder,
             ):
                 files = exporter(loaded, folder)
+                if not files:
+                    raise ExportError(f"the exporter of {name} gave no files back", expected="the paths that it wrote")
                 write_text(folder / MARK, to_json({"format": name, "realsim": __version__, "edited": edited}))
         except MissingExtraError as error:
             if not every:
