@@ -312,10 +312,10 @@ def test_unknown_formats_and_folders_without_a_scene(folder: Path, tmp_path: Pat
 def test_an_exporter_that_names_no_files_is_refused(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(EXPORTERS.own, "mine", "builtins:print")  # writes nothing, and returns None
-    with pytest.raises(ExportError, match="exporter of mine"):
-        export_scene(folder, "mine", tmp_path / "out")
-    assert not (tmp_path / "out" / "mine").exists()
+    monkeypatch.setitem(EXPORTERS.own, "obj", "builtins:print")  # writes nothing, and returns None
+    with pytest.raises(ExportError, match="exporter of obj"):
+        export_scene(folder, "obj", tmp_path / "out")
+    assert not (tmp_path / "out" / "obj").exists()
 
 
 def test_a_scene_with_entities_is_refused(folder: Path, tmp_path: Path) -> None:
