@@ -11,12 +11,13 @@ import pytest
 
 from benchmarks.diagnosis.hardware.bench import Bench, Ruler, Starts, _like, fit, parted, predict, with_error, write
 from benchmarks.diagnosis.hardware.errors import errors
-from benchmarks.diagnosis.hardware.logs import LOGS, PENDULUM, windows, write_case, write_windows
+from benchmarks.diagnosis.hardware.logs import LOGS, PENDULUM, windows, windows_of
 from benchmarks.diagnosis.real import SHARES, _class, accepted_sets, figures, reliability, row
 from realsim.gap import load_case
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.effects import EFFECTS
 from realsim.gap.simulation.simulate import Simulator
+from tests.truths.written import write_case
 
 ARM = """<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody><body name="upper" pos="0 0 1">
 <joint name="shoulder" axis="0 1 0" damping="0.2" frictionloss="0.3" armature="0.02"/>
@@ -30,12 +31,11 @@ ARM = """<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody>
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
     """A log that its own model made: what is wrong later is only what is put in."""
-    folder = write_case(tmp_path_factory.mktemp("bench") / "case", ARM, ["shoulder", "elbow"], ["a", "b"])
-    time = np.arange(0.0, 8.0, 0.01)
+    time, runs = np.arange(0.0, 8.0, 0.01), {}
     for name, rate in (("slow", 2.0), ("fast", 5.0)):
         command = np.column_stack([0.6 * np.sin(rate * time), 0.5 * np.sin(1.3 * rate * time + 1)])
-        write_windows(folder, name, {"time": time, "command": command, "joint_pos": command})
-    return Bench(folder)
+        runs |= windows_of(name, {"time": time, "command": command, "joint_pos": command})
+    return Bench(write_case(tmp_path_factory.mktemp("bench") / "case", ARM, runs))
 
 
 def test_windows_share_a_run_and_begin_at_0() -> None:
@@ -91,7 +91,6 @@ def test_a_pendulum_that_only_torque_drives_is_fitted_in_parts(tmp_path: Path, m
     monkeypatch.setattr("benchmarks.diagnosis.hardware.bench.LATEST", 0)
     monkeypatch.setattr("benchmarks.diagnosis.hardware.bench.EVALUATIONS", 6)
     model = mujoco.MjModel.from_xml_string(PENDULUM.replace('damping="0.01"', 'damping="0.08"'))
-    folder = write_case(tmp_path / "case", PENDULUM, ["swing"], ["swing_motor"], command_kind="torque")
     rng, time = np.random.default_rng(0), np.arange(0.0, 4.0, 0.01)
     data, seen, command = mujoco.MjData(model), [], 2 * np.sin(4 * time)[:, None]
     data.qpos[0] = 3.0
@@ -99,8 +98,8 @@ def test_a_pendulum_that_only_torque_drives_is_fitted_in_parts(tmp_path: Path, m
         seen.append(data.qpos.copy())
         mujoco.mj_step(model, data, 5)
     noisy = np.array(seen) + rng.normal(0, 1e-3, (len(time), 1))
-    write_windows(folder, "one", {"time": time, "command": command, "joint_pos": noisy}, 1.0)
-    bench = Bench(folder)
+    runs = windows_of("one", {"time": time, "command": command, "joint_pos": noisy}, 1.0)
+    bench = Bench(write_case(tmp_path / "case", PENDULUM, runs, command_kind="torque"))
     parts = parted(bench.others)
     assert len(parts.runs) == 2 * len(bench.others.runs)
     assert max(r.duration for r in parts.runs) < 0.55
