@@ -128,8 +128,8 @@ USUAL = {
     "export": (15.0, 0.0),
     "report": (1.0, 0.0),
 }
-"""Stage -> seconds, and seconds more for each frame, on two cores: benchmarks/results/reconstruct_scaling.json, 60 to
-960 frames; a scan has none. Small captures and the choice of collision geometry: the two captures of the tutorials."""
+"""Stage -> seconds, and seconds more for each frame, on two cores, over 60 to 960 rendered frames; a scan has
+none. Small captures and the choice of collision geometry: the two captures of the tutorials."""
 
 
 def usual_seconds(data: FrameSet | Scan, config: ReconstructConfig) -> dict[str, float]:
