@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sized
 from contextlib import contextmanager, suppress
@@ -32,7 +33,7 @@ _quiet = False
 _pipe: IO[str] | None = None
 _listener: Callable[[str, float], None] | None = None
 _last = ("", 0.0)
-_interrupted = False
+_interrupted = _early = False
 BETWEEN = 0.1
 """Seconds between two lines to a pipe about the same thing."""
 
@@ -61,6 +62,34 @@ def interrupt(*_: object) -> None:
     global _interrupted
     _interrupted = True
     raise KeyboardInterrupt
+
+
+@contextmanager
+def answers_early() -> Iterator[None]:
+    """The first Ctrl-C of a person within asks for the answer so far (`asked_early`), the second ends what runs."""
+    global _early
+
+    def ask(*_: object) -> None:
+        global _early
+        if _early:
+            interrupt()
+        _early = True
+        note("ending with the answer so far; interrupt again to end without one")
+
+    if signal.getsignal(signal.SIGINT) != interrupt:  # no command of ours runs
+        yield
+        return
+    signal.signal(signal.SIGINT, ask)
+    try:
+        yield
+    finally:
+        _early = False
+        signal.signal(signal.SIGINT, interrupt)
+
+
+def asked_early() -> bool:
+    """Whether a person wants the answer so far."""
+    return _early
 
 
 def forget_interrupt() -> None:

@@ -24,6 +24,8 @@ class DiagnoseConfig:
     """At most this many runs are simulated, spread over the log; the rest are left out and named."""
     max_seconds: float | None = None
     """At most this many seconds of each run are simulated, from its start; by default 10, and 3 of a robot on legs."""
+    time_limit: float = 10.0
+    """Minutes: the search ends in time to answer by then, with the best so far, and the answer says so."""
     bin_seconds: float = 0.02
     """Samples are averaged over bins of this width before comparison, seconds."""
     settle_seconds: float = 0.6
@@ -48,7 +50,7 @@ class DiagnoseConfig:
         sizes = dict.fromkeys(("unexplained_share", "holdout", "settle_seconds", "seed"), 0)
         check_limits(
             self,
-            above={"bin_seconds": 0},
+            above={"bin_seconds": 0, "time_limit": 0},
             least={**counts, **sizes, "max_seconds": SHORTEST_RUN},
             most={"bin_seconds": 0.2, "unexplained_share": 1},
         )

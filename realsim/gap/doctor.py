@@ -99,7 +99,7 @@ def _physics(case: Case, config: DiagnoseConfig, progress: Progress) -> list[Par
     """Delay and physics, by one search: what it names is sorted into both."""
     try:
         found = diagnose(case, config, progress)
-    except GapError as error:
+    except RealsimError as error:
         return [Part("delay", None, error.render()), Part("physics", None, error.render())]
     result = found.as_dict()
     verdict = GapVerdict(result["verdict"])

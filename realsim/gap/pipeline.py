@@ -17,7 +17,7 @@ from realsim.gap.answer.arrays import collect
 from realsim.gap.answer.conclusion import Conclusion, conclude
 from realsim.gap.answer.diagnosis import Diagnosis, describe_set, ranked_effects
 from realsim.gap.answer.patch import empty_patch, make_patch
-from realsim.gap.answer.sentence import advice, sentence
+from realsim.gap.answer.sentence import CUT_SHORT, advice, sentence
 from realsim.gap.answer.stays import what_stays
 from realsim.gap.case.case import Case
 from realsim.gap.case.health import examine
@@ -35,7 +35,7 @@ from realsim.gap.inference.likelihood.comparison import Comparison
 from realsim.gap.inference.likelihood.free_starts import free_starts
 from realsim.gap.inference.likelihood.screen import Screen
 from realsim.gap.provenance import provenance
-from realsim.gap.simulation.simulate import Simulator
+from realsim.gap.simulation.simulate import OutOfTime, Simulator
 from realsim.gap.verdicts import GapVerdict
 
 Progress = Callable[[str, float], None]
@@ -43,6 +43,8 @@ LIES, WAITING, FLIGHT, GRAVITY = 0.5, 0.25, 1.0, 9.81
 """Share of its usual thrust below which a drone that does not fall lies on the ground, s before and after in which it
 would, the shortest flight, s, and m/s2. Not tuned; two Crazyflies on the ground give a fiftieth."""
 
+SEARCHING = 0.85
+"""Share of the time limit after which a search ends; what is left is for the answer. Not tuned."""
 STRETCH = 0.5
 """s that a stretch between gaps must last: a run's first state is judged by 0.3 s of it. Not tuned."""
 
@@ -74,10 +76,19 @@ def diagnose(case: Case, config: DiagnoseConfig | None = None, progress: Progres
         for name, at in comparison.parted.items():
             health["warnings"].append(f"{name}: robot and simulator diverge at {at:.1f} s; the rest is left out")
         tick("sensitivities", 0.0)
+        end = began + 60 * SEARCHING * config.time_limit
+        simulator.stop_after(end - time.perf_counter())
         screen = Screen(simulator, comparison, fitted, config.effects, tick)
         selection = select(Fitter.of(screen, find_onsets(comparison, nominal, fitted)), config, tick)
         tick("unseen runs", 0.9)
-        concluded = conclude(config, selection, held, nominal)
+        simulator.stop_after(end - time.perf_counter() if not selection.cut_short else np.inf)
+        try:
+            concluded = conclude(config, selection, held, nominal)
+        except OutOfTime:
+            simulator.stop_after(np.inf)  # what a search that was cut short comes to takes little
+            selection.cut_short = True
+            concluded = conclude(config, selection, held, nominal)
+        simulator.stop_after(np.inf)
         found = _assemble(config, screen, selection, concluded, nominal, health)
         cost = {
             "seconds": round(time.perf_counter() - began, 2),
@@ -205,13 +216,17 @@ def _assemble(
     equivalent = [tuple(describe_set(other)) for other in (concluded.equivalent if causes else ())]
     looks_like = what_stays(simulator, comparison, fit, runs) if gap else []
     lead = describe_set(concluded.lead)[0] if concluded.lead else None
+    said = sentence(judgement, causes, equivalent, checked, where, looks_like, case, lead)
+    todo = advice(judgement, causes, equivalent, where, case, lead)
+    if selection.cut_short:
+        said, todo = f"{said} {CUT_SHORT}", f"give the search more time (--time-limit), or {todo}"
     health["warnings"] += concluded.warnings
     of_check = [i for i, run in enumerate(case.runs) if run.name in checked.runs]
     arrays = collect(simulator, comparison, residuals, shares, of_check, fit)
     return Diagnosis(
         verdict=judgement.verdict,
-        sentence=sentence(judgement, causes, equivalent, checked, where, looks_like, case, lead),
-        advice=advice(judgement, causes, equivalent, where, case, lead),
+        sentence=said,
+        advice=todo,
         causes=tuple(causes),
         equivalent=tuple(equivalent),
         where=tuple(where),
@@ -245,6 +260,7 @@ def _assemble(
             "candidates": len(screen.candidates),
             "fitted_runs": [case.runs[i].name for i in screen.runs],
             "left_out_over_floor": None if concluded.left_out is None else concluded.left_out.after.tolist(),
+            "cut_short": selection.cut_short,
             "reasons": list(judgement.reasons),
             "notes": list(concluded.notes),
         },

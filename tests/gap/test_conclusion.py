@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from realsim.core.errors import RealsimError
 from realsim.gap import Case, DiagnoseConfig, diagnose, figures, load_case
 from realsim.gap.answer.conclusion import _again, _fitted, _lasting, _told_from_none, beside_imitations
 from realsim.gap.answer.diagnosis import Diagnosis
@@ -88,6 +91,29 @@ def test_with_one_run_nothing_is_held_out_and_it_is_said(sticky: Case) -> None:
     assert not found.shrinkage["unseen"]
     assert any("no run was held out" in w for w in found.health["warnings"])
     assert "no other was left" in found.sentence or found.verdict == "no_gap"
+
+
+def test_a_search_that_is_cut_short_answers_with_what_it_has(sticky: Case, monkeypatch: pytest.MonkeyPatch) -> None:
+    late = [0.0]
+    clock = SimpleNamespace(monotonic=lambda: time.monotonic() + late[0])
+    monkeypatch.setattr("realsim.gap.simulation.simulate.time", clock)
+
+    def progress(what: str, share: float) -> None:
+        if what == "search for causes" and share > 0:  # the first cause was found, and others are looked for
+            late[0] = 1e6
+
+    found = diagnose(sticky, PLAIN, progress)
+    assert [c["effect"] for c in found.causes] == ["coulomb_friction"]
+    assert found.causes[0]["parameters"]["friction"]["value"] == pytest.approx(3.0, rel=0.1)
+    assert found.verdict == "partly_explained"
+    assert "cut short" in found.sentence
+    assert "--time-limit" in found.advice
+    assert found.statistics["cut_short"]
+
+
+def test_a_time_limit_that_ends_before_any_answer_is_said(sticky: Case) -> None:
+    with pytest.raises(RealsimError, match=r"before there was an answer[\s\S]*--time-limit"):
+        diagnose(sticky, replace(PLAIN, time_limit=1e-6))
 
 
 def test_no_probability_is_stated_that_was_not_calibrated(calm: Diagnosis) -> None:

@@ -15,7 +15,7 @@ from realsim.cli.commands import CommandResult, strict_exit
 from realsim.cli.commands.many import run_each
 from realsim.core.errors import RealsimError
 from realsim.core.files import refuse_within
-from realsim.core.progress import note, steps, track
+from realsim.core.progress import answers_early, note, steps, track
 from realsim.gap.case.recordings import is_recording
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.verdicts import SAID, GapVerdict
@@ -108,7 +108,7 @@ def diagnose(
         found = None if trained is None else trained(case)
         if found is not None:
             note(found.sentence)  # minutes before the search ends
-        with steps() as tick:
+        with steps() as tick, answers_early():
             result = gap.run_case(
                 case, out, config, tick, overwrite=overwrite, scene=scene, recordings=recordings, since=since
             )

@@ -65,18 +65,14 @@ def conclude(config: DiagnoseConfig, selection: Selection, held: Sequence[int], 
         nominal: (T, C) a run, of the nominal simulator, all runs of the case.
     """
     notes, fitter, screen = list(selection.notes), selection.fitter, selection.fitter.screen
-    fit, left, dropped = _lasting(fitter, selection, notes)
-    if fit is selection.fit:
-        given = [f for f in selection.equivalent if not _again(screen, f, fit)]
-    else:  # the search compared other sets: what is as good as what lasts is looked for anew
-        fit, left, given = _simplest(fitter, selection.trials, fit, left)
-    fit, left, others = beside_imitations(fitter, fit, left, given, notes)
+    fit, left, others, dropped = _held_against_others(fitter, selection, notes)
     fit, warnings = _with_onsets(screen, fit, held, nominal)
     checked, more = _checked(config, screen, fit, selection.nominal, left, held, nominal)
     fitted = _fitted(screen, fit, selection.nominal, nominal)
     sigmas = fit.sigmas if left is None else np.maximum(fit.sigmas, left.sigmas)
     ends = [name for c in fit.causes for name in at_an_end(c)]  # of strengths: a law's shape may be at one
     doubts = _doubts(screen, fit, sigmas, dropped, selection.trials)
+    doubts += ["the search was cut short"] if selection.cut_short and fit.causes else []
     if not all(at_an_end(c) for c in fit.causes):  # the others may still be what they are
         doubts += [f"{name}: as far as the library goes, so it stands for something else" for name in ends]
         ends = []
@@ -86,7 +82,7 @@ def conclude(config: DiagnoseConfig, selection: Selection, held: Sequence[int], 
         return judge(fitted, checked, count, len(others), ends, share, doubts)
 
     judgement = judged()
-    if judgement.verdict is GapVerdict.PARTLY_EXPLAINED and left is not None:
+    if judgement.verdict is GapVerdict.PARTLY_EXPLAINED and left is not None and not selection.cut_short:
         others = _as_good(fitter, selection.trials, fit, left)
         judgement = judged()
     only_imitates = imitates(fit) and not is_gap(leftover(screen, selection.nominal))
@@ -107,6 +103,21 @@ def conclude(config: DiagnoseConfig, selection: Selection, held: Sequence[int], 
     lead = None if fit.causes else _lead(fitter, selection)
     alike = tuple(other.under(onsets=fit.conditions.onsets) for other in others)
     return Conclusion(fit, sigmas, alike, checked, judgement, left, tuple(notes), (*warnings, *more), lead)
+
+
+def _held_against_others(
+    fitter: Fitter, selection: Selection, notes: list[str]
+) -> tuple[Fit, LeftOut | None, list[Fit], list[Cause]]:
+    """(the causes that last, left-out runs, sets as good as them, what was dropped); of a search that was cut short,
+    what it came to."""
+    if selection.cut_short:
+        return selection.fit, leave_out(fitter, selection.fit) if selection.fit.causes else None, [], []
+    fit, left, dropped = _lasting(fitter, selection, notes)
+    if fit is selection.fit:
+        given = [f for f in selection.equivalent if not _again(fitter.screen, f, fit)]
+    else:  # the search compared other sets: what is as good as what lasts is looked for anew
+        fit, left, given = _simplest(fitter, selection.trials, fit, left)
+    return *beside_imitations(fitter, fit, left, given, notes), dropped
 
 
 def _doubts(screen: Screen, fit: Fit, sigmas: F64, dropped: Sequence[Cause], trials: Sequence[Trial]) -> list[str]:
@@ -135,7 +146,8 @@ def _lead(fitter: Fitter, selection: Selection) -> Fit | None:
     if not first:
         return None
     best = max(first, key=lambda t: t.gain or 0.0)
-    found = fitter.fit([Cause(best.candidate, best.values)], few=fitter.rough(selection.nominal, every=True))
+    causes, iterations = [Cause(best.candidate, best.values)], 0 if selection.cut_short else 6
+    found = fitter.fit(causes, (), iterations, fitter.rough(selection.nominal, every=True))
     return fitter.spread(found) if found is not None and not imitates(found) else None
 
 

@@ -26,6 +26,7 @@ SIGNALS = {
     "imu_acc": "accelerometer",
 }
 _SPELLED = {"ratio": "times", "kg m^2": "kg m²", "m/s^2": "m/s²"}
+CUT_SHORT = "The search was cut short before all causes were looked at."
 _MOST_ALTERNATIVES = 3
 _MOST_RECORDINGS = 2
 """More than two recordings at once nobody makes."""

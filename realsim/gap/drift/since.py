@@ -20,7 +20,7 @@ from realsim.gap import figures
 from realsim.gap.answer.conclusion import beside_imitations
 from realsim.gap.answer.diagnosis import MODEL_ERROR
 from realsim.gap.answer.leaveout import leave_out
-from realsim.gap.answer.sentence import number
+from realsim.gap.answer.sentence import CUT_SHORT, number
 from realsim.gap.case.case import Case
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.drift.pair import pair_of
@@ -85,14 +85,18 @@ def changed_since(
     with threadpool_limits(1, user_api="blas"), Simulator(pair.case, config, fitted) as simulator:
         comparison = Comparison(pair.case, simulator.channels, simulator.simulate(), config, fitted)
         free_starts(simulator, comparison)
+        simulator.stop_after(30 * config.time_limit)  # half of it
         earlier = Screen(simulator, comparison, pair.before, config.effects, tick)
         common = select(Fitter.of(earlier), config, tick)
         # Of what only imitates both logs may have as much as they like; a robot that has it would hide a change.
         shared = common.nominal if imitates(common.fit) else common.fit
+        simulator.stop_after(30 * config.time_limit)
         simulator.begin_from(shared.settings())
         screen = Screen(simulator, comparison, fitted, config.effects, tick, since=True)
         _loosen(screen, common.fit, shared is common.fit)
         found = select(Fitter.of(screen), config, tick)
+        simulator.stop_after(np.inf)
+        cut_short = common.cut_short or found.cut_short
         fit, notes, fitter = found.fit, list(found.notes), found.fitter
         if doubts := [d for c, sigmas in _with_errors(fit) if (d := _doubt(c, sigmas))]:
             fit, notes = found.nominal, notes + doubts
@@ -104,7 +108,13 @@ def changed_since(
         then, first, now = _split(pair.before, leftover(screen, found.nominal), leftover(screen, fit))
         unexplained = _stays(config, bool(fit.causes), then, first, now)
         verdict = (
-            "unexplained" if unexplained else "ambiguous" if rivals else "identified" if fit.causes else "unchanged"
+            "unexplained"
+            if unexplained
+            else "ambiguous"
+            if rivals or (cut_short and fit.causes)
+            else "identified"
+            if fit.causes
+            else "unchanged"
         )
         changes, *others = (_described(shared, f) for f in (fit, *rivals))
         statistics = {
@@ -115,7 +125,7 @@ def changed_since(
             "runs_before": [pair.case.runs[i].name for i in pair.before],
             "runs_now": [pair.case.runs[i].name for i in pair.now],
         }
-        said = sentence(verdict, changes, others)
+        said = sentence(verdict, changes, others) + (f" {CUT_SHORT}" if cut_short else "")
         return Since(verdict, said, tuple(changes), tuple(map(tuple, others)), statistics, (*pair.notes, *notes))
 
 

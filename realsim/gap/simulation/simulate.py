@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import threading
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -11,7 +12,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from realsim.core.errors import GapError
+from realsim.core.errors import GapError, RealsimError
+from realsim.core.progress import asked_early
 from realsim.core.types import F64, Bool, MjModel, MjSpec
 from realsim.gap.case.case import Case, Run
 from realsim.gap.case.model.channels import Channel as Channel
@@ -44,6 +46,10 @@ RESTING = 0.06
 """Seconds that are enough for contacts to take up their load."""
 
 
+class OutOfTime(RealsimError):
+    """The time of a search is over (`Simulator.stop_after`): whoever has an answer so far gives that one."""
+
+
 class Simulator:
     """Replays runs. `simulate` returns, for each run, (T, C) at the logged time stamps; NaN from where it failed.
 
@@ -72,6 +78,7 @@ class Simulator:
         }
         """Run -> the base's first orientation, and how it turned from there."""
         self.simulated_seconds = 0.0
+        self._end = np.inf
         self.cores = Cores(config.threads)
         self._counting = threading.Lock()
         self._raw: list[dict[str, F64]] | None = None
@@ -93,6 +100,10 @@ class Simulator:
 
     def close(self) -> None:
         self.cores.close()
+
+    def stop_after(self, seconds: float) -> None:
+        """From so many seconds on, or from an interrupt before, simulating raises OutOfTime; never if infinite."""
+        self._end = time.monotonic() + seconds
 
     def context_of_all_runs(self) -> Context:
         """The context with scales of the unknown runs too: for what may be recorded next, not for fits."""
@@ -279,6 +290,13 @@ class Simulator:
 
         `off`: (T, U) bool a run of actuators that give no force at a step, or None where all do.
         """
+        if self._end < np.inf and (asked_early() or time.monotonic() > self._end):
+            raise OutOfTime(
+                "the search ended before there was an answer",
+                file=self.case.folder,
+                found="an interrupt" if asked_early() else f"a time limit of {self.config.time_limit:g} minutes",
+                hint="raise time_limit (--time-limit), or name the effects to consider (--effects)",
+            )
         step: Roller = rolled
         if edit.signals.load_friction or edit.signals.position_torque:
             drives = {j: (edit.motor_joint(j), a) for j, a in self.context.actuator.items()}

@@ -22,6 +22,7 @@ from realsim.gap.inference.causes.leftover import is_gap, leftover
 from realsim.gap.inference.causes.proposals import ADD, EXCHANGE, Proposal, Propose, ranked
 from realsim.gap.inference.causes.score import asked, bent, doubts, near, score, searched
 from realsim.gap.inference.likelihood.screen import Key
+from realsim.gap.simulation.simulate import OutOfTime
 
 Tick = Callable[[str, float], None]
 
@@ -40,8 +41,23 @@ class Search:
     """Mean square above the floor that stays beside everyday deviations alone."""
     trials: list[Trial] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    cut_short: bool = False
+    """Whether time was over before the search came to its end."""
+    _looked_at: tuple[Fit, list[Fit]] | None = None
+    """A set, and its neighbours so far, while they are fitted."""
 
     def run(self, tick: Tick) -> None:
+        """Search until no neighbour is better, or until the simulator's time is over: then the best so far counts."""
+        try:
+            self._search(tick)
+        except OutOfTime:
+            self.cut_short = True
+            here, fits = self._looked_at or (self.best, [])
+            nearest = min(fits, key=self._score, default=here)
+            if self._score(here) - self._score(nearest) > figures.CLEARLY:
+                self.best = nearest
+
+    def _search(self, tick: Tick) -> None:
         self._keep(self.best)
         best: dict[str, Trial] = {}
         for gain, c, _ in ranked(self.fitter.screen, self.best):
@@ -109,6 +125,7 @@ class Search:
             here = self.best = here.under(gap=is_gap(leftover(screen, here)))
             self.fitter = self.fitter.under_those_of(here)
         fits, few = list[Fit](), self.fitter.rough(here) if further else None
+        self._looked_at = here, fits
         proposed, at_once = self._proposed(moves, here), 1
         while now := list(islice(proposed, at_once)):
             # Of many further causes each is looked at roughly; what would not catch up with the best is broken off.
@@ -126,10 +143,11 @@ class Search:
                     self.trials.append(Trial(c.candidate, len(here.causes), p.foretold, gain=gain, values=c.values))
             at_once = figures.AT_ONCE if screen.slow else 1
         here, fits = second_look(self.fitter, here, sorted(fits, key=self._score))
-        self.fitter = self.fitter.under_those_of(here)
+        self.fitter, self._looked_at = self.fitter.under_those_of(here), (here, fits)
         for fit in fits:
             self._keep(fit)
-        return self._better(here, fits)
+        better, self._looked_at = self._better(here, fits), None
+        return better
 
     def _fitted(self, p: Proposal, few: Few, target: float) -> Fit | None:
         return self.fitter.fit(p.causes, p.starts, 8, few, target)

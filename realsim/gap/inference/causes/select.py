@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+
+import numpy as np
 
 from realsim.gap import figures
 from realsim.gap.config import DiagnoseConfig
@@ -13,6 +16,7 @@ from realsim.gap.inference.causes.score import alike, determined, left_out, near
 from realsim.gap.inference.causes.search import Search, Tick
 from realsim.gap.inference.causes.starts import contains
 from realsim.gap.inference.likelihood.screen import Screen
+from realsim.gap.simulation.simulate import OutOfTime
 
 
 @dataclass
@@ -29,31 +33,49 @@ class Selection:
     notes: list[str]
     fitter: Fitter
     """Under the conditions that all of them are compared under."""
+    cut_short: bool = False
+    """Whether time was over before all was compared: `fit` is the best so far."""
 
 
 def select(fitter: Fitter, config: DiagnoseConfig, tick: Tick = lambda what, share: None) -> Selection:
     """Causes of the gap on the screened runs."""
-    nothing = fitter.with_likelier_solver(fitter.nominal())
+    nothing = fitter.nominal()
+    with suppress(OutOfTime):
+        nothing = fitter.with_likelier_solver(nothing)
     search = Search(fitter.under_those_of(nothing), config.max_causes, nothing)
     search.run(tick)
     fitter = search.fitter
-    nominal = fitter.looked_at(nothing, ()) or nothing
-    best, equivalent = _alike(search, nominal)
-    if (apart := by_joint(fitter, best)) is not None:
-        search.notes.append("a value that joints shared was replaced by one a joint")
-        best, equivalent = apart, []
-    gains = {}
-    for i in range(len(best.causes)):
-        rest = [c for j, c in enumerate(best.causes) if j != i]
-        less = fitter.fit(rest, few=fitter.rough(best, every=True)) if rest else nominal
-        gains[i] = less.misfit - best.misfit if less is not None else 0.0
+    try:
+        nominal, best, equivalent, gains = _compared(search, nothing)
+    except OutOfTime:
+        search.cut_short = True
+    fitter.screen.simulator.stop_after(np.inf)  # what is still to be done takes little
+    if search.cut_short:
+        nominal, best = fitter.looked_at(nothing, ()) or nothing, search.best
+        equivalent, gains = list[Fit](), dict[int, float]()
     if best.causes:
         best = fitter.reweighted(best)
         fitter = fitter.under(weights=best.conditions.weights)
         best, nominal = fitter.spread(best), fitter.remeasure(nominal)
     if len(fitter.screen.runs) == 1 and best.causes:
         search.notes.append("a single run: no cause could be held against a run that is left out")
-    return Selection(best, nominal, search.trials, equivalent, gains, search.notes, fitter)
+    return Selection(best, nominal, search.trials, equivalent, gains, search.notes, fitter, search.cut_short)
+
+
+def _compared(search: Search, nothing: Fit) -> tuple[Fit, Fit, list[Fit], dict[int, float]]:
+    """(no cause at all, the best set, the others that explain the runs alike, what is lost without each cause of the
+    best), if there is time."""
+    fitter, gains = search.fitter, {}
+    nominal = fitter.looked_at(nothing, ()) or nothing
+    best, equivalent = _alike(search, nominal)
+    if (apart := by_joint(fitter, best)) is not None:
+        search.notes.append("a value that joints shared was replaced by one a joint")
+        best, equivalent = apart, []
+    for i in range(len(best.causes)):
+        rest = [c for j, c in enumerate(best.causes) if j != i]
+        less = fitter.fit(rest, few=fitter.rough(best, every=True)) if rest else nominal
+        gains[i] = less.misfit - best.misfit if less is not None else 0.0
+    return nominal, best, equivalent, gains
 
 
 def by_joint(fitter: Fitter, fit: Fit) -> Fit | None:
