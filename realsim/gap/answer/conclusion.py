@@ -214,7 +214,7 @@ def beside_imitations(
             known = any(c.candidate.effect == candidate.effect for f in others for c in f.causes)
             rival = None
             if candidate.effect in taken_for and not known:
-                rival = fitter.fit([*rest_of, Cause(candidate, tuple(start))])
+                rival = fitter.fit([*rest_of, Cause(candidate, tuple(start))], few=fitter.rough(fit, every=True))
             if rival is None:
                 continue
             theirs = leave_out(fitter, rival)
@@ -257,7 +257,7 @@ def _as_good(fitter: Fitter, trials: Sequence[Trial], fit: Fit, left: LeftOut) -
     found: list[Fit] = []
     most = figures.PLACES if screen.slow else figures.FITTED
     for trial in sorted(best.values(), key=lambda t: -(t.gain or 0.0))[:most]:
-        rival = fitter.fit([Cause(trial.candidate, trial.values)])
+        rival = fitter.fit([Cause(trial.candidate, trial.values)], few=fitter.rough(fit, every=True))
         if rival is None or _again(screen, rival, fit):
             continue
         theirs = leave_out(fitter, rival)

@@ -35,8 +35,8 @@ class Fitter(GaussNewton):
         if fit.causes and not self.conditions.onsets:  # a lasting cause drowns a push until it is known
             here = here.under(onsets=find_onsets(screen.comparison, simulator.simulate(settings), screen.runs))
         fit = here.reweighted(fit)
-        # Where feet touch, deviations are simulated: beside them, the slopes that are there describe a small rest.
-        if fit.causes and (not simulator.context.touches or is_gap(leftover(screen, fit))):
+        # Where deviations are many, no further cause is looked for beside no gap; the slopes that are there describe it.
+        if fit.causes and (not screen.crowded or is_gap(leftover(screen, fit))):
             if not any(lookup(c.candidate.effect).law.stiff for c in fit.causes):  # each slope at many times the steps
                 screen.relinearise(settings, fit.conditions)
             here = here.under_those_of(fit)

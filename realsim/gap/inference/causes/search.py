@@ -96,9 +96,9 @@ class Search:
         return bool(max(stays, 0.0) ** (self.most / len(self.best.causes)) > 1 - figures.NAMED_SHARE)
 
     def _calls_for_more(self) -> bool:
-        """Whether a further cause is looked for: on legs only where those so far leave a gap. Beside none, as many
-        wrong causes were found as right ones (one each), in the time of the first search."""
-        if not (self.best.causes and self.fitter.screen.simulator.context.touches):
+        """Whether a further cause is looked for: among many deviations only where those so far leave a gap. Beside none,
+        on legs, as many wrong causes were found as right ones (one each), in the time of the first search."""
+        if not (self.best.causes and self.fitter.screen.crowded):
             return True
         return is_gap(leftover(self.fitter.screen, self._prepare()))
 
@@ -124,7 +124,7 @@ class Search:
         if screen.simulator.context.touches and not here.causes:  # now deviations are simulated: do they leave a gap?
             here = self.best = here.under(gap=is_gap(leftover(screen, here)))
             self.fitter = self.fitter.under_those_of(here)
-        fits, few = list[Fit](), self.fitter.rough(here) if further else None
+        fits, few = list[Fit](), self.fitter.rough(here, every=not further)
         self._looked_at = here, fits
         proposed, at_once = self._proposed(moves, here), 1
         while now := list(islice(proposed, at_once)):
