@@ -7,11 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from realsim.core.types import F64
+from realsim.gap import figures
 from realsim.gap.case.case import Case, Run
 from realsim.gap.config import DiagnoseConfig
 
-MOST_FITTED = 6
-"""Runs that carry the sensitivities."""
+MOST_FITTED, OF_MANY_JOINTS = 6, 3
+"""Runs that carry the sensitivities, and of a robot with MANY_JOINTS, of which each takes long. Budget."""
 ENOUGH = 7
 """Different runs from which on a whole regime is held out beside the last runs."""
 FAINT, STANDS_ALONE = 0.1, 5.0
@@ -49,12 +50,13 @@ def split_runs(case: Case, config: DiagnoseConfig) -> tuple[list[int], list[int]
     if held and len(single) >= ENOUGH:
         held = sorted([*held, *_regime_apart(case, [i for i in single if i not in held])])
     fitted = [i for i in range(count) if i not in held]
-    if len(fitted) > MOST_FITTED:
+    most = OF_MANY_JOINTS if len(case.joint_names) >= figures.MANY_JOINTS else MOST_FITTED
+    if len(fitted) > most:
         repeated = {i for g in twins for i in g[1:]}
         order = sorted(fitted, key=lambda i: (i not in added, i in repeated, -motion[i]))
-        fitted = sorted(order[:MOST_FITTED])
+        fitted = sorted(order[:most])
         again = {i for g in twins if set(g) & set(fitted) for i in g}
-        spared = set(order[MOST_FITTED:]) - again - added
+        spared = set(order[most:]) - again - added
         held = sorted({*held, *spared}) if held else held
     return fitted, held
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from realsim.gap import figures
 from realsim.gap.case.model.edit import Edit
 from realsim.gap.effects.base import Effect, Parameter, Place, Where, Words, fixed
 from realsim.gap.effects.thrust_gain import thrusters
@@ -19,14 +20,6 @@ if TYPE_CHECKING:
     from realsim.gap.case.model.context import Context
 
     Parameters = Callable[[Context, Place], tuple[Parameter, ...]]
-
-MANY_JOINTS = 8
-"""Driven joints from which on what the time step does to all of them at once can be told from their own deviations.
-
-With fewer it hides small causes: on 44 withheld cases of pendulums and arms two were missed for one that became right.
-From as many on, sets are compared beside their own deviations; with fewer, the second of two causes was lost in both
-cases of seed 211 that were tried.
-"""
 
 NEARLY = 0.3
 """Standard deviation about either on the others: a log comes from a robot or from a simulator of the same step."""
@@ -80,7 +73,7 @@ def _sticking_apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
 
 def _step_parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
     """The robot lives in continuous time: 1 is the limit of ever finer steps."""
-    many = len(context.driven) >= MANY_JOINTS
+    many = len(context.driven) >= figures.MANY_JOINTS
     size, usual = (1.0, 0.0) if many else (NEARLY, 1.0)
     return (Parameter("finer", "ratio", (0.0, 0.5), 0.5, nuisance=size, usual=usual, fine=True),)
 

@@ -35,7 +35,7 @@ class Fitter(GaussNewton):
         if fit.causes and not self.conditions.onsets:  # a lasting cause drowns a push until it is known
             here = here.under(onsets=find_onsets(screen.comparison, simulator.simulate(settings), screen.runs))
         fit = here.reweighted(fit)
-        # Where deviations are many, no further cause is looked for beside no gap; the slopes that are there describe it.
+        # Beside no gap, no further cause is looked for among many deviations, and the slopes that are there will do.
         if fit.causes and (not screen.crowded or is_gap(leftover(screen, fit))):
             if not any(lookup(c.candidate.effect).law.stiff for c in fit.causes):  # each slope at many times the steps
                 screen.relinearise(settings, fit.conditions)

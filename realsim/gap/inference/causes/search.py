@@ -96,8 +96,8 @@ class Search:
         return bool(max(stays, 0.0) ** (self.most / len(self.best.causes)) > 1 - figures.NAMED_SHARE)
 
     def _calls_for_more(self) -> bool:
-        """Whether a further cause is looked for: among many deviations only where those so far leave a gap. Beside none,
-        on legs, as many wrong causes were found as right ones (one each), in the time of the first search."""
+        """Whether a further cause is looked for: among many deviations only where those so far leave a gap. Beside
+        none, on legs, as many wrong causes were found as right ones (one each), in the time of the first search."""
         if not (self.best.causes and self.fitter.screen.crowded):
             return True
         return is_gap(leftover(self.fitter.screen, self._prepare()))

@@ -21,7 +21,7 @@ from realsim.gap.case.model.context import like_joints
 from realsim.gap.effects import EFFECTS, ON_REQUEST
 from realsim.gap.effects.base import Effect, Parameter, Place
 from realsim.gap.effects.lookup import SINCE, lookup
-from realsim.gap.effects.nuisances import MANY_JOINTS, NUISANCES
+from realsim.gap.effects.nuisances import NUISANCES
 from realsim.gap.inference.likelihood.comparison import Comparison, Weights
 from realsim.gap.inference.likelihood.conditions import Conditions
 from realsim.gap.inference.likelihood.linear import Evidence, Spectrum, scaled
@@ -170,7 +170,7 @@ class Screen:
                 file=simulator.case.folder,
                 hint="are the commands in the unit that log.json says, and do they move the joints?",
             )
-        self.crowded = simulator.context.touches or len(simulator.case.joint_names) >= MANY_JOINTS
+        self.crowded = simulator.context.touches or len(simulator.case.joint_names) >= figures.MANY_JOINTS
         """Whether everyday deviations are so many that a cause can hide among them."""
         seconds, model = sum(simulator.case.runs[i].duration for i in self.runs), simulator.case.model
         self.slow = self.crowded or seconds / simulator.context.timestep * model.nv > figures.WORK
@@ -190,12 +190,13 @@ class Screen:
 
     def _varied(self, count: int = 3) -> tuple[int, ...] | None:
         """Positions of a few screened runs from calm to lively, for the searches of rivals where simulating takes long;
-        None where it does not, or where all are few."""
-        if len(self.runs) <= count or not self.slow:
+        None where it does not."""
+        if not self.slow:
             return None
         commands = [self.simulator.case.runs[r].command for r in self.runs]
         order = np.argsort([float(np.abs(np.diff(c, axis=0)).sum() / len(c)) for c in commands])
-        return tuple(int(order[i]) for i in np.linspace(0, len(order) - 1, count).round().astype(int))
+        few = np.linspace(0, len(order) - 1, min(count, len(order)))
+        return tuple(int(order[i]) for i in few.round().astype(int))
 
     def relinearise(self, settings: Sequence[Setting], conditions: Conditions) -> None:
         """Take all slopes anew about these causes: a robot that moves otherwise answers otherwise.
