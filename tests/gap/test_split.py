@@ -10,13 +10,14 @@ from realsim.gap.case.split import split_runs
 from realsim.gap.config import DiagnoseConfig
 
 
-def case_of(speeds: list[float]) -> SimpleNamespace:
+def case_of(speeds: list[float], joints: int = 1) -> SimpleNamespace:
     time = np.linspace(0, 2, 101)
     runs = [
         Run(f"run_{i}", time, (0.3 + 0.01 * i) * np.sin(speed * time)[:, None], {"joint_pos": np.zeros((101, 1))})
         for i, speed in enumerate(speeds)
     ]
-    return SimpleNamespace(runs=runs, joint_names=["axis"], added=())
+    model = SimpleNamespace(nv=joints, opt=SimpleNamespace(timestep=0.002))
+    return SimpleNamespace(runs=runs, joint_names=["axis"] * joints, added=(), model=model)
 
 
 def test_few_runs_keep_the_last_one_unseen():
@@ -112,6 +113,12 @@ def test_of_many_runs_the_liveliest_are_fitted():
     fitted, _ = split_runs(case_of(speeds), DiagnoseConfig())
     assert len(fitted) == 6
     assert 0 not in fitted  # the slowest
+
+
+def test_of_runs_that_take_long_three_are_fitted_and_the_others_check():
+    fitted, held = split_runs(case_of([2.0, 2.3, 2.1, 2.4, 2.2, 2.05], joints=200), DiagnoseConfig())
+    assert fitted == [1, 3, 4]
+    assert held == [0, 2, 5]
 
 
 def test_every_run_that_is_not_fitted_is_a_check():

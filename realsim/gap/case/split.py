@@ -11,8 +11,8 @@ from realsim.gap import figures
 from realsim.gap.case.case import Case, Run
 from realsim.gap.config import DiagnoseConfig
 
-MOST_FITTED, OF_MANY_JOINTS = 6, 3
-"""Runs that carry the sensitivities, and of a robot with MANY_JOINTS, of which each takes long. Budget."""
+MOST_FITTED, LEAST_FITTED = 6, 3
+"""Runs that carry the sensitivities, and how many of them do where all would take longer than WORK. Budget."""
 ENOUGH = 7
 """Different runs from which on a whole regime is held out beside the last runs."""
 FAINT, STANDS_ALONE = 0.1, 5.0
@@ -50,7 +50,8 @@ def split_runs(case: Case, config: DiagnoseConfig) -> tuple[list[int], list[int]
     if held and len(single) >= ENOUGH:
         held = sorted([*held, *_regime_apart(case, [i for i in single if i not in held])])
     fitted = [i for i in range(count) if i not in held]
-    most = OF_MANY_JOINTS if len(case.joint_names) >= figures.MANY_JOINTS else MOST_FITTED
+    work = case.model.nv / case.model.opt.timestep * float(np.mean([run.duration for run in case.runs]))
+    most = int(np.clip(figures.WORK / work, LEAST_FITTED, MOST_FITTED))
     if len(fitted) > most:
         repeated = {i for g in twins for i in g[1:]}
         order = sorted(fitted, key=lambda i: (i not in added, i in repeated, -motion[i]))

@@ -128,10 +128,12 @@ class Search:
         self._looked_at = here, fits
         proposed, at_once = self._proposed(moves, here), 1
         while now := list(islice(proposed, at_once)):
-            # Of many further causes each is looked at roughly; what would not catch up with the best is broken off.
+            # Of many further causes each is looked at roughly; what would not catch up with the best is broken off, or
+            # not begun.
             least = min((searched(self.fitter, f) for f in fits), default=np.inf) if further else here.misfit
             before = searched(self.fitter, here) if further else self.seen[frozenset()].misfit
             target = least + near(before - least)
+            now = [p for p in now if p.misfit <= target]
             found = self.fitter.each(partial(self._fitted, few=few, target=target), now)
             for p, fit in zip(now, found, strict=True):
                 if fit is None:
@@ -213,12 +215,14 @@ def second_look(fitter: Fitter, here: Fit, fits: Sequence[Fit]) -> tuple[Fit, li
     # Of each effect its best place, or places of one effect would be all that is looked at.
     ways = {tuple(c.candidate.effect for c in f.causes): f for f in reversed(fits)}
     best = sorted(ways.values(), key=partial(score, fitter))[: figures.PLACES]
-    settled = [fitter.settled(f) for f in (here, *best)]
+    most = score(fitter, best[0]) + near(here.misfit - best[0].misfit)
+    close = [f for f in best if score(fitter, f) <= most]  # the others would not catch up
+    settled = [fitter.settled(f) for f in (here, *close)]
     fitter = fitter.under(weights=fitter.reweighted(min(settled[1:], key=partial(score, fitter))).conditions.weights)
     # Deviations have many optima, above all where feet land: the set itself may have those that its neighbours found.
     heres = [settled[0], *filter(None, (fitter.beside_those(f, here) for f in settled[1:]))]
     here = min(map(fitter.remeasure, heres), key=lambda f: f.misfit)
     if not here.causes:  # beside those there may be no gap
         here = here.under(gap=is_gap(leftover(screen, here)))
-    again = map(fitter.remeasure, settled[1:])
+    again = map(fitter.remeasure, (*settled[1:], *best[len(close) :]))
     return here, sorted(again, key=partial(score, fitter.under_those_of(here)))
