@@ -39,7 +39,9 @@ def main() -> int:
     parser.add_argument("--shared", type=Path, default=Path(os.environ.get("REALSIM_SHARED", "../shared")))
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--minutes", type=float, default=float("inf"), help="of all together")
-    parser.add_argument("--seconds", type=int, default=300, help="CPU time of a case; then it counts as crashed")
+    parser.add_argument(
+        "--seconds", type=int, default=300, help="time limit of a case; at 1.5 times the CPU time it crashed"
+    )
     parser.add_argument("--parts", nargs="*", choices=PARTS, default=list(PARTS))
     parser.add_argument("--seed", type=int, default=3001, help="of the fresh cases")
     parser.add_argument("--cases", type=int, default=60, help="fresh ones")
@@ -55,7 +57,10 @@ def main() -> int:
 
     def answer(jobs: Iterable[Job]) -> None:
         minutes = args.minutes - (time.monotonic() - began) / 60
-        diagnose_all([replace(job, seconds=args.seconds) for job in jobs], args.jobs, minutes)
+        settings, seconds = {"time_limit": args.seconds / 60}, round(1.5 * args.seconds)
+        diagnose_all(
+            [replace(job, seconds=seconds, settings=job.settings | settings) for job in jobs], args.jobs, minutes
+        )
 
     jobs = []
     if "put_in" in args.parts:

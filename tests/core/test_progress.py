@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import signal
 from itertools import pairwise
 
 import pytest
@@ -96,3 +97,17 @@ def test_progress_goes_to_a_function_as_long_as_it_listens() -> None:
         assert list(track([1, 2], "c")) == [1, 2]
     progress.note("nobody listens")
     assert heard == [("begun", 0.0), ("a", 0.0), ("b", 0.5), ("c", 0.0), ("c", 0.5)]
+
+
+def test_the_first_interrupt_asks_for_the_answer_so_far_and_the_second_ends() -> None:
+    before = signal.signal(signal.SIGINT, progress.interrupt)
+    try:
+        with progress.answers_early():
+            signal.raise_signal(signal.SIGINT)
+            assert progress.asked_early()
+            with pytest.raises(KeyboardInterrupt):
+                signal.raise_signal(signal.SIGINT)
+        assert not progress.asked_early()
+    finally:
+        signal.signal(signal.SIGINT, before)
+        progress.forget_interrupt()
