@@ -104,8 +104,9 @@ PARTS = (1.0, 0.5, 0.25)
 WIDE = 0.1
 """Share of a step over which slopes are taken: wide differences see through sticking friction."""
 WORK = 3e5
-"""Steps of all fitted runs times degrees of freedom from which on simulating takes long: a G1 on a stand has 450,000,
-generated arms 100,000 at most, a real arm of seven joints with eleven runs of ten seconds 385,000. Budget."""
+"""Steps of all fitted runs times degrees of freedom from which on simulating takes long, and fewer runs are fitted: a
+G1 on a stand has 450,000, generated arms 100,000 at most, a real arm of seven joints with eleven runs of ten seconds
+385,000. Budget."""
 TURNED = 0.2
 """Share of its size by which a slope must differ about other causes, in the liveliest run, to be taken anew in the
 others. Budget."""
