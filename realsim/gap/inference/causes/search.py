@@ -129,11 +129,11 @@ class Search:
         proposed, at_once = self._proposed(moves, here), 1
         while now := list(islice(proposed, at_once)):
             # Of many further causes each is looked at roughly; what would not catch up with the best is broken off, or
-            # not begun.
+            # not begun where that takes long.
             least = min((searched(self.fitter, f) for f in fits), default=np.inf) if further else here.misfit
             before = searched(self.fitter, here) if further else self.seen[frozenset()].misfit
             target = least + near(before - least)
-            now = [p for p in now if p.misfit <= target]
+            now = [p for p in now if p.misfit <= target or not screen.slow]
             found = self.fitter.each(partial(self._fitted, few=few, target=target), now)
             for p, fit in zip(now, found, strict=True):
                 if fit is None:
