@@ -12,9 +12,14 @@ from scipy.spatial import Delaunay
 from realsim.core.errors import ExportError
 from realsim.export import contact_mesh
 from realsim.export.config import SceneConfig
+from realsim.export.contact.boxes import boxes
+from realsim.export.contact.choose import is_exact
+from realsim.export.contact.probe import BALL, SimTouch, spec_of
+from realsim.export.contact.shape import Shape
 from realsim.export.ground import ground_level
 from realsim.export.mend import mend, read_mesh
 from realsim.export.pieces import convex_solids, without_twins
+from tests.truths.scanned_rooms import closet
 
 STEPS = [((0.3 * k + 0.15, 0, 0.075 * (k + 1)), (0.3, 1.0, 0.15 * (k + 1))) for k in range(3)]
 FLOOR = ((0.5, 0, -0.05), (3.0, 2.0, 0.1))
@@ -212,3 +217,30 @@ def test_steps_that_reach_the_rim_are_no_slivers() -> None:
     faces = np.concatenate([np.stack([k, k + 2, k + 3], 1), np.stack([k, k + 3, k + 1], 1)])
     made = mend(np.column_stack([place, height]), faces)
     assert len(made.terrain.triangles) == len(faces)
+
+
+def test_thin_posts_and_low_sills_of_a_model_are_no_specks() -> None:
+    """Of a solid that is no scan: a post of 1.5 cm, and a sill of 8 mm, which is lower than the noise of one."""
+    cylinder = trimesh.creation.cylinder(0.0075, 0.8, sections=16).apply_translation([0.2, 0.2, 0.4])
+    parts = [
+        put_together(((0, 0, -0.05), (2, 2, 0.1))),
+        cylinder,
+        put_together(((0, -0.2, 0), (0.04, 1.0, 0.016)), ((0.03, -0.2, 0), (0.04, 0.2, 0.016))),
+    ]
+    mesh = trimesh.boolean.union([*parts[:2], *parts[2].split()], engine="manifold")
+    made = mend(np.asarray(mesh.vertices), np.asarray(mesh.faces))
+    touch = SimTouch(spec_of(boxes(Shape(made.terrain, 0.0), SceneConfig())), BALL, batch=2)
+    post, sill = touch.clearance(np.array([[0.2, 0.2, 0.5], [0.0, -0.2, 0.01]]), np.tile([1.0, 0, 0, 0], (2, 1)))
+    assert post < 0
+    assert sill < -0.005
+
+
+@pytest.mark.parametrize("kind", ["boxes and boards", "scan"])
+def test_what_has_flat_faces_is_no_scan(kind: str) -> None:
+    """Its small faces are not noise, though it is open."""
+    mesh = closet()
+    if kind == "boxes and boards":
+        parts = put_together(*STEPS, *(((0.4 * k, 0.9, 0.1), (0.3, 0.2, 0.2)) for k in range(6)))
+        parts.update_faces(np.arange(len(parts.faces)) > 1)
+        mesh = as_terrain(parts)
+    assert is_exact(mesh) == (kind != "scan")

@@ -16,7 +16,10 @@ from realsim.export.contact.undersides import Walls, settle
 
 F64 = NDArray[np.float64]
 CELL = 0.005  # metres; of a mesh that is exact as fine as...
-FINEST, WITHIN = 0.001, 3.5  # metres, and cells in its thinnest wall (a plane takes 3; set on a made bin); at least...
+FINEST, WITHIN = (
+    0.0005,
+    4.0,
+)  # metres, and cells in its thinnest wall (a round post of 4 has the 12 that a plane takes); at least...
 SHARE = 0.25  # ...this share of a reconstruction's resolution, below which there is nothing to find
 THINNER, SIDES = 5, 2000  # percent of the walls that may be thinner, and places at which they are measured
 PIT, NOISES = 0.015, 2.5  # metres below the ground, and times the noise, from which a plane will not do as floor; the
@@ -99,7 +102,7 @@ def terrain(mesh: TerrainMesh, ground_z: float, cell: float | None = None) -> Te
     found: list[Island] = []
     areas = np.zeros(2)
     for layer in range(len(grid.top)):
-        for island, unseen in _layer(grid, layer, base, level, tolerance):
+        for island, unseen in _layer(grid, layer, base, level, tolerance, scan=mesh.noise_m is not None):
             under, inferred = settle(grid, island.corner, island.top, island.under, unseen, base, narrowest, walls)
             found.append(replace(island, under=under))
             areas += inferred
@@ -164,10 +167,11 @@ def _bounds(grid: Columns, window: Window) -> F64:
 
 
 def _layer(
-    grid: Columns, layer: int, base: float, level: F64, tolerance: float
+    grid: Columns, layer: int, base: float, level: F64, tolerance: float, *, scan: bool
 ) -> list[tuple[Island, NDArray[np.bool_]]]:
     """[(island, cells whose underside no camera saw)] of one layer; `level` (rows, columns) is the z of the floor below
-    each cell, `base` in holes for pits and the ground elsewhere."""
+    each cell, `base` in holes for pits and the ground elsewhere. Specks are noise of a `scan`; who makes a mesh by hand
+    means its thin posts and low sills."""
     from scipy import ndimage
 
     top, bottom, seen = grid.top[layer], grid.bottom[layer], grid.bottom_seen[layer]
@@ -179,7 +183,7 @@ def _layer(
         inside = islands[place] == k
         z = np.where(inside, top[place], np.nan)
         size = float(inside.sum()) * grid.cell**2
-        if is_speck(float(np.nanmax(z - level[place])), size, bool((inside & rim[place]).any())):
+        if scan and _is_speck(float(np.nanmax(z - level[place])), size, bool((inside & rim[place]).any())):
             continue
         under = np.where(inside, np.where(bottom[place] > level[place], bottom[place], base), np.nan)
         share = float(grid.top_seen[layer][place][inside].mean())
@@ -195,7 +199,7 @@ def _rim(grid: Columns) -> NDArray[np.bool_]:
     return ndimage.binary_dilation(beyond, np.ones((5, 5)))[1:-1, 1:-1]
 
 
-def is_speck(height: float, area: float, at_rim: bool = False) -> bool:
+def _is_speck(height: float, area: float, at_rim: bool) -> bool:
     """Whether a piece of surface is noise on the floor: lower than 1 cm, below 2.5 cm and smaller than half a foot,
     or (where a scan ends, in the shadow of things) below 4 cm and smaller than a foot."""
     if height < 0.01 or area < 3e-4:
