@@ -300,7 +300,6 @@ def main() -> None:
     print("\n".join(line(r) for r in store.rows))
     print("\nThe worst of the meshes that each was tried on:\n")
     print("\n".join(summary(store.rows)))
-    print("\nThe whole of `auto` on meshes of about 100k triangles:\n")
     print("\nNot measured: " + ("; ".join(f"{k}: {', '.join(v)}" for k, v in missing.items()) or "nothing"))
 
 

@@ -1,21 +1,18 @@
 """Contact from the side and from above, with columns alone (`boxes`, as it was) and as `auto` chooses now.
 
-    python -m benchmarks.contact.sides [--names corridor room] [--real] [--large]
+    python -m benchmarks.contact.sides [--names corridor room] [--large]
 
-The synthetic rooms of `tests/truths/rooms.py`; with --real, the captures in REALSIM_SHARED/real_captures too; with
---large, `auto` on the rooms of tests/truths/scanned_rooms.py, each in a process of its own, with what it took. Rows go
-to benchmarks/results/sides.json. Rays and heights are those of `realsim/export/contact/fidelity.py`.
+The synthetic rooms of `tests/truths/rooms.py`; with --large, `auto` on the rooms of tests/truths/scanned_rooms.py, each
+in a process of its own, with what it took. Rows go to benchmarks/results/sides.json. Rays and heights are those of
+`realsim/export/contact/fidelity.py`; `benchmarks/scenes/real_captures.py` has them of real captures.
 """
 
 from __future__ import annotations
 
 import argparse
 import multiprocessing
-import os
 import resource
-from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,40 +25,10 @@ from tests.truths.rooms import ROOMS
 from tests.truths.scanned_rooms import LARGE
 
 ROOT = Path(__file__).resolve().parents[2]
-SHARED = Path(os.environ.get("REALSIM_SHARED", ROOT.parent / "shared"))
-REAL = {
-    "pcl_room_lidar": ("tutorials/room_scan1.pcd", "all"),
-    "pcl_kinect_stairs": ("tutorials/pairwise", "terrain"),
-    "scannerapp_chair": ("data", "terrain"),
-    "realsense_boxes_floor": ("data", "terrain"),
-}
-"""Capture -> what of it is read, and what is kept."""
 
 
-def captured(name: str) -> tuple[TerrainMesh, float]:
-    """Mesh and ground of a real capture, as the pipeline makes them."""
-    import tempfile
-    from dataclasses import replace
-
-    from realsim.pipeline import ReconstructConfig, reconstruct
-
-    source, keep = REAL[name]
-    config = ReconstructConfig()
-    config = replace(config, align=replace(config.align, keep=keep))
-    with tempfile.TemporaryDirectory() as folder:
-        found = reconstruct(SHARED / "real_captures" / name / source, Path(folder) / "scene", config)
-    return found.mesh, found.aligned.ground_z
-
-
-def rows(name: str, make: Callable[[], tuple[TerrainMesh, float]]) -> Iterator[dict[str, Any]]:
-    """Before and after."""
-    mesh, ground_z = make()
-    for contact in ("boxes", "auto"):
-        yield _row(name, mesh, ground_z, contact)
-
-
-def _row(name: str, mesh: TerrainMesh, ground_z: float, contact: str) -> dict[str, Any]:
-    fitted = fit_contact(mesh, ground_z, SceneConfig(contact=contact))
+def _row(name: str, mesh: TerrainMesh, contact: str) -> dict[str, Any]:
+    fitted = fit_contact(mesh, 0.0, SceneConfig(contact=contact))
     s = fitted.summary
     return {
         "scene": name,
@@ -85,7 +52,7 @@ def large(name: str) -> dict[str, Any]:
 
 
 def _used(name: str, mesh: TerrainMesh) -> dict[str, Any]:
-    row = _row(name, mesh, 0.0, "auto")
+    row = _row(name, mesh, "auto")
     used = resource.getrusage(resource.RUSAGE_SELF)
     took = {"cpu_s": round(used.ru_utime + used.ru_stime, 1), "peak_gb": round(used.ru_maxrss / 1e6, 2)}
     return row | {"triangles": len(mesh.triangles)} | took
@@ -94,18 +61,12 @@ def _used(name: str, mesh: TerrainMesh) -> dict[str, Any]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--names", nargs="*", help="scenes; all if not given")
-    parser.add_argument("--real", action="store_true", help="the real captures too")
     parser.add_argument("--large", action="store_true", help="only the rooms at their real size")
     args = parser.parse_args()
-    scenes: dict[str, Callable[[], tuple[TerrainMesh, float]]] = {
-        name: partial(lambda make: (make(), 0.0), make) for name, make in ROOMS.items()
-    }
-    if args.real:
-        scenes |= {name: partial(captured, name) for name in REAL if (SHARED / "real_captures" / name).exists()}
     store = Store(ROOT / "benchmarks" / "results" / "sides.json", ("scene", "contact"))
-    for name in args.names or (LARGE if args.large else scenes):
-        for row in [large(name)] if name in LARGE else rows(name, scenes[name]):
-            store.add(row)
+    for name in args.names or (LARGE if args.large else ROOMS):
+        for contact in ("auto",) if name in LARGE else ("boxes", "auto"):
+            row = store.add(large(name) if name in LARGE else _row(name, ROOMS[name](), contact))
             print("  ".join(f"{key} {value}" for key, value in row.items()), flush=True)
 
 

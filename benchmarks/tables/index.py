@@ -65,7 +65,7 @@ INDEX = (
     (
         "Contact from the side, by columns alone and as `auto` chooses",
         "sides",
-        "python -m benchmarks.contact.sides [--real] [--large]",
+        "python -m benchmarks.contact.sides [--large]",
     ),
     ("Contact of forty clean meshes", "clean_meshes", "python -m benchmarks.contact.clean_meshes"),
     ("Captures that real sensors and apps wrote", "real_captures", "python benchmarks/scenes/real_captures.py"),
