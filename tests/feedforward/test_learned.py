@@ -21,6 +21,7 @@ from realsim.feedforward import matcher
 from realsim.feedforward.config import PointsConfig
 from realsim.feedforward.rgbd import learned
 from realsim.feedforward.rgbd.features import Match, build_tracks, prepare
+from realsim.feedforward.rgbd.matching import make_edge
 
 ESTIMATE = PointsConfig(poses="estimate")
 TRUTH = rooms.path(4)
@@ -166,8 +167,15 @@ def test_two_pieces_are_not_joined_by_one_link() -> None:
     def link(i: int, j: int) -> Match:
         return Match(i, j, np.arange(30), np.arange(30), np.eye(4))
 
-    piece = np.array([0, 0, 0, 1, 1, 2])
-    assert learned._supported([link(2, 3)], piece) == []
-    assert learned._supported([link(2, 3), link(2, 4)], piece) == []
-    assert len(learned._supported([link(2, 4), link(1, 3)], piece)) == 2
-    assert [(m.i, m.j) for m in learned._supported([link(2, 3), link(4, 5)], piece)] == [(4, 5)]
+    def kept(*links: tuple[int, int]) -> list[tuple[int, int]]:
+        edges = [make_edge(link(*pair)) for pair in ((0, 1), (1, 2), (3, 4), (6, 7))]
+        return [(m.i, m.j) for m in learned.keep_supported([link(*pair) for pair in links], 8, edges)]
+
+    assert kept((2, 3)) == []
+    assert kept((2, 3), (2, 4)) == []
+    assert kept((1, 3), (2, 4)) == [(1, 3), (2, 4)]
+    assert kept((2, 3), (4, 5)) == [(4, 5)]
+    # What is joined is one piece: 3 and 6 then say together where 0 to 2 are.
+    assert kept((1, 6), (2, 3)) == []
+    assert kept((1, 6), (2, 3), (3, 6), (4, 7)) == [(1, 6), (2, 3), (3, 6), (4, 7)]
+    assert kept((4, 6), (5, 7)) == [(5, 7)]

@@ -15,7 +15,7 @@ from realsim.core.types import F64
 from realsim.feedforward.rgbd.features import Match, View, build_tracks
 from realsim.feedforward.rgbd.icp_links import link_by_shape
 from realsim.feedforward.rgbd.keyframes import choose_by_matching
-from realsim.feedforward.rgbd.learned import join_pieces
+from realsim.feedforward.rgbd.learned import join_pieces, match_loops
 from realsim.feedforward.rgbd.localize import Landmarks, localize
 from realsim.feedforward.rgbd.loop_closure import Joined, join
 from realsim.feedforward.rgbd.matching import (
@@ -102,6 +102,11 @@ def _estimate_together(views: Sequence[View], seed: int, learned: bool) -> tuple
         if first:
             T = adjust_to_features(T, build_tracks(chosen, first), seed)[0].state.T
         kept = [m for m in first if (int(used[m.i]), int(used[m.j])) in net.learned]
+        if kept:
+            chosen, loops = match_loops(chosen, choose_overlapping(chosen, T), seed)
+            kept += [m for m in loops if _fits(m, T, {k: k for k in range(len(chosen))})]
+            T = adjust_to_features(T, build_tracks(chosen, first + kept), seed)[0].state.T
+            statistics["learned_loops"] = len(loops)
         landmarks, more = match_and_adjust(chosen, T, kept, seed)
         if landmarks is not None:
             T = landmarks.T_world_camera

@@ -11,11 +11,11 @@ localised to a pixel and a half instead of a third of one, and count accordingly
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from realsim.core.progress import track
 from realsim.feedforward import matcher
@@ -75,36 +75,52 @@ def join_pieces(views: Sequence[View], edges: Sequence[Edge], seed: int) -> Lear
     why = matcher.missing()
     if why is not None:
         return Learned(list(views), [], unavailable=why)
-    shown = list(views)
+    shown, keypoints = list(views), dict[int, matcher.Keypoints]()
     matches: list[Match] = []
-    keypoints: dict[int, matcher.Keypoints] = {}
     asked = 0
     for i, j in track(sorted(pairs, key=lambda p: (p[1] - p[0], p)), "hard matches"):
         if j - i > NEAR:
             now = label_pieces(n, [*edges, *map(make_edge, matches)])
             if now[i] == now[j]:
                 continue
-        for k in {i, j} - keypoints.keys():
-            shown[k], keypoints[k] = _look(views[k])
         asked += 1
-        found = _match(shown, keypoints, i, j, seed)
+        found = _match(views, shown, keypoints, i, j, seed)
         if found is not None:
             matches.append(found)
-    return Learned(*_trimmed(views, shown, _supported(matches, piece)), asked)
+    return Learned(*_trimmed(views, shown, keep_supported(matches, n, edges)), asked)
 
 
-def _supported(matches: Sequence[Match], piece: NDArray[np.int64]) -> list[Match]:
-    """Matches that do not join two pieces alone: where frames are missing, the next place may only look like this one.
+def match_loops(views: Sequence[View], pairs: Sequence[tuple[int, int]], seed: int) -> tuple[list[View], list[Match]]:
+    """Matches of pairs that overlap but are far apart in the sequence, at most one for each view, and the views with
+    the features that they are of. Chains drift, and matching under guidance follows the drift; this does not."""
+    far = [(i, j) for i, j in pairs if j - i > WINDOW and views[i].frame is not None and views[j].frame is not None]
+    far = [far[k] for k in np.unique(np.linspace(0, len(far) - 1, len(views)).astype(int))] if far else []
+    shown, keypoints = list(views), dict[int, matcher.Keypoints]()
+    found = [_match(views, shown, keypoints, i, j, seed) for i, j in track(far, "loops")]
+    return _trimmed(views, shown, [m for m in found if m is not None])
 
-    Pieces of several frames have to say it twice, by different frames on both sides; one frame cannot.
+
+def keep_supported(matches: Sequence[Match], n: int, edges: Sequence[Edge]) -> list[Match]:
+    """Matches of n frames that do not join two pieces of `edges` alone: where frames are missing, the next place may
+    only look like this one.
+
+    Pieces of several frames have to say it twice, by different frames on both sides; one frame cannot. What is joined
+    is one piece from then on: what its parts say of a third counts together.
     """
     out: list[Match] = []
-    for a, b in sorted({(min(p), max(p)) for m in matches for p in [(int(piece[m.i]), int(piece[m.j]))]}):
-        group = [m for m in matches if {piece[m.i], piece[m.j]} == {a, b}]
-        support = min(len({k for m in group for k in (m.i, m.j) if piece[k] == p}) for p in (a, b))
-        if support >= min(2, int((piece == a).sum()), int((piece == b).sum())):
-            out += group
-    return sorted(out, key=lambda m: (m.i, m.j))
+    left = list(matches)
+    while True:
+        piece = label_pieces(n, [*edges, *map(make_edge, out)])
+        groups = defaultdict(list)
+        for m in left:
+            groups[min(piece[m.i], piece[m.j]), max(piece[m.i], piece[m.j])].append(m)
+        left = []
+        for (a, b), group in groups.items():
+            support = min(len({k for m in group for k in (m.i, m.j) if piece[k] == p}) for p in (a, b))
+            good = a == b or support >= min(2, int((piece == a).sum()), int((piece == b).sum()))
+            (out if good else left).extend(group)
+        if len(left) == sum(map(len, groups.values())):
+            return sorted(out, key=lambda m: (m.i, m.j))
 
 
 def _look(view: View) -> tuple[View, matcher.Keypoints]:
@@ -119,9 +135,14 @@ def _look(view: View) -> tuple[View, matcher.Keypoints]:
 
 
 def _match(
-    shown: Sequence[View], keypoints: Mapping[int, matcher.Keypoints], i: int, j: int, seed: int
+    views: Sequence[View], shown: list[View], keypoints: dict[int, matcher.Keypoints], i: int, j: int, seed: int
 ) -> Match | None:
-    """What the matcher says of a pair, if one motion explains enough of it and the depth images agree."""
+    """What the matcher says of a pair, if one motion explains enough of it and the depth images agree.
+
+    `shown`, the views with their keypoints, and `keypoints` are filled as views are looked at.
+    """
+    for k in {i, j} - keypoints.keys():
+        shown[k], keypoints[k] = _look(views[k])
     a, b = keypoints[i], keypoints[j]
     proposed = matcher.match(a, b)
     if len(proposed) < LEAST:

@@ -40,7 +40,6 @@ FEATURES = Sigmas(SIGMA_PX, SIGMA_INVERSE, position=0.5, angle=0.2)
 UNFIT = 5.0
 """Standard deviations beyond which an observation takes no part in the second adjustment to features."""
 
-
 Trust = Literal["metric", "estimated", "features"]
 
 
@@ -143,11 +142,12 @@ def match_and_adjust(
     Args:
         kept: matches of features that have no descriptor; they stay as they are.
     """
-    guided = (match_guided(views, i, j, invert_T(T[i]) @ T[j]) for i, j in choose_overlapping(views, T))
+    pairs = choose_overlapping(views, T)
+    guided = (match_guided(views, i, j, invert_T(T[i]) @ T[j]) for i, j in pairs)
     matches = [*filter(None, guided), *kept]
     if not matches:
         return None, {}
-    step, tracks = adjust_to_features(T, build_tracks(views, matches), seed)
+    step, tracks = adjust_to_features(T, build_tracks(views, matches), seed, views, pairs)
     return Landmarks(views, step.state.T, tracks, step.state.X), {
         "matched_pairs": len(matches),
         "tracks": tracks.count,
@@ -157,13 +157,18 @@ def match_and_adjust(
     }
 
 
-def adjust_to_features(T: F64, tracks: Tracks, seed: int = 0) -> tuple[Step, Tracks]:
+def adjust_to_features(
+    T: F64, tracks: Tracks, seed: int = 0, views: Sequence[View] = (), pairs: Sequence[tuple[int, int]] = ()
+) -> tuple[Step, Tracks]:
     """The last step of the adjustment of estimated poses to features with depth, done twice: the second time without
-    the observations that the first did not fit. And the tracks that are left."""
+    the observations that the first did not fit, and with the surfaces of `pairs`. And the tracks that are left.
+
+    Features weigh a hundred times as much as surfaces where there are many; where there are few, surfaces decide.
+    """
     step, _, _ = adjust((), T, tracks, trust="features", seed=seed)
     x, y, depth = np.abs(step.track_residual.T) / ([FEATURES.image], [FEATURES.image], [FEATURES.depth])
     tracks = tracks.where((np.hypot(x, y) < UNFIT) & (depth < UNFIT))
-    return adjust((), step.state.T, tracks, trust="features", seed=seed)[0], tracks
+    return adjust(views, step.state.T, tracks, pairs, trust="features", seed=seed)[0], tracks
 
 
 def _checked(frames: Sequence[Frame], T: F64) -> F64:
