@@ -68,7 +68,7 @@ def join_pieces(views: Sequence[View], edges: Sequence[Edge], seed: int) -> Lear
     n = len(views)
     piece = label_pieces(n, edges)
     reach = n if n <= ALL_PAIRS else WINDOW + 1
-    seeing = [k for k in range(n) if views[k].has_color and views[k].frame is not None]
+    seeing = [k for k in range(n) if _seen(views[k])]
     pairs = [(i, j) for i in seeing for j in seeing if i < j < i + reach and piece[i] != piece[j]]
     if not pairs:
         return Learned(list(views), [])
@@ -93,7 +93,7 @@ def join_pieces(views: Sequence[View], edges: Sequence[Edge], seed: int) -> Lear
 def match_loops(views: Sequence[View], pairs: Sequence[tuple[int, int]], seed: int) -> tuple[list[View], list[Match]]:
     """Matches of pairs that overlap but are far apart in the sequence, at most one for each view, and the views with
     the features that they are of. Chains drift, and matching under guidance follows the drift; this does not."""
-    far = [(i, j) for i, j in pairs if j - i > WINDOW and views[i].frame is not None and views[j].frame is not None]
+    far = [(i, j) for i, j in pairs if j - i > WINDOW and _seen(views[i]) and _seen(views[j])]
     far = [far[k] for k in np.unique(np.linspace(0, len(far) - 1, len(views)).astype(int))] if far else []
     shown, keypoints = list(views), dict[int, matcher.Keypoints]()
     found = [_match(views, shown, keypoints, i, j, seed) for i, j in track(far, "loops")]
@@ -121,6 +121,10 @@ def keep_supported(matches: Sequence[Match], n: int, edges: Sequence[Edge]) -> l
             (out if good else left).extend(group)
         if len(left) == sum(map(len, groups.values())):
             return sorted(out, key=lambda m: (m.i, m.j))
+
+
+def _seen(view: View) -> bool:
+    return view.has_color and view.frame is not None
 
 
 def _look(view: View) -> tuple[View, matcher.Keypoints]:
