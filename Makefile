@@ -43,7 +43,7 @@ docs: venv
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 wheel: venv
-	bash tools/check_wheel.sh $(BIN)/python
+	bash tools/check_wheel.sh
 
 venv: .venv/.stamp
 

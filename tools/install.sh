@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
-# install.sh PYTHON ARGUMENTS...: `pip install ARGUMENTS` for PYTHON, by uv where .venv has it: a fifth of the time. uv is given
-# the index, the folders of wheels and the certificates that pip is set to. Where uv fails, it says why, and pip does it.
+# install.sh PYTHON ARGUMENTS...: `pip install ARGUMENTS` for PYTHON, which needs no pip, by .venv's uv where it is there: a
+# fifth of the time. uv is given the index, folders of wheels and certificates that pip is set to; where it fails, pip does it.
 set -euo pipefail
 python=$1
 shift
-uv=$(dirname "$0")/../.venv/bin/uv
+bin=$(dirname "$0")/../.venv/bin
 
-setting() { printf '%b' "$("$python" -m pip config list | sed -n "s/^[^=]*\.$1='\(.*\)'\$/\1/p" | tail -1)"; }
+setting() { printf '%b' "$("$bin/python" -m pip config list | sed -n "s/^[^=]*\.$1='\(.*\)'\$/\1/p" | tail -1)"; }
 
 by_uv() {
   local options=(--quiet --index-strategy unsafe-best-match) name value certificates
@@ -15,8 +15,8 @@ by_uv() {
   done
   certificates=$(setting cert)
   [ -z "$certificates" ] || export SSL_CERT_FILE=$certificates
-  "$uv" pip install --python "$python" "${options[@]}" "$@"
+  "$bin/uv" pip install --python "$python" "${options[@]}" "$@"
 }
 
-if [ -x "$uv" ] && by_uv "$@"; then exit 0; fi
-"$python" -m pip install --disable-pip-version-check --no-compile "$@"
+if [ -x "$bin/uv" ] && by_uv "$@"; then exit 0; fi
+"$bin/python" -m pip --python "$python" install --disable-pip-version-check --no-compile "$@"
