@@ -281,8 +281,7 @@ class _Fitter:
         found = []
         slopes_of = J[start : start + frames.depth.size].reshape(len(frames.time), -1, 7)
         mount = Mount(float(x[0]), x[1:4], x[4:7])
-        for t, slopes, offset in zip(frames.time, slopes_of, self.offsets(x, which), strict=True):
-            _, R = self.view.pose(frames.run, float(t), mount, offset)
+        for slopes, R in zip(slopes_of, self.view.poses(which, mount, self.offsets(x, which))[1], strict=True):
             found.append(np.hstack([slopes[:, 4:7] @ R.T, slopes[:, 1:4] @ R.T]))
         return found
 

@@ -8,6 +8,7 @@ from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from realsim.core.geometry import exp_so3
 from realsim.core.types import F64, MjData, MjModel
@@ -63,16 +64,17 @@ class View:
         self._corrected = lru_cache(8 * sum(len(f.time) for f in frames))(self._logged)
         self.hidden = [self._hides(f) for f in frames]
 
-    def pose(self, run: int, time: float, mount: Mount, offset: F64) -> tuple[F64, F64]:
-        """((3,) m, (3, 3) OpenCV axes in the world) of the camera when an image of this stamp was taken.
+    def poses(self, which: int, mount: Mount, offsets: F64) -> tuple[F64, F64]:
+        """((N, 3) m, (N, 3, 3) OpenCV axes in the world) of the camera when the images of one run were taken.
 
-        `offset` (6,): m and rad by which the logged pose is off, beside the correction.
+        `offsets` (N, 6): m and rad by which the logged poses are off, beside the correction.
         """
-        place, R, correction = self._corrected(run, time - mount.delay)
-        offset = offset + correction
-        R = exp_so3(offset[3:]) @ R
-        place = place + offset[:3] + R @ mount.shift
-        return place, R @ mount.rotation
+        frames = self.frames[which]
+        logged = [self._corrected(frames.run, float(t) - mount.delay) for t in frames.time]
+        places, R, corrections = (np.stack(part) for part in zip(*logged, strict=True))
+        offsets = offsets + corrections
+        R = Rotation.from_rotvec(offsets[:, 3:]).as_matrix() @ R
+        return places + offsets[:, :3] + R @ mount.shift, R @ mount.rotation
 
     def _logged(self, run: int, time: float) -> tuple[F64, F64, F64]:
         """`_nominal`, and the correction (6,) of the base there."""
@@ -96,12 +98,10 @@ class View:
     def depth(self, which: int, mount: Mount, offsets: F64) -> tuple[F64, Any]:
         """((N, P) m along the optical axis, 0 where nothing is, (N, P) geom) of the frames of one run.
 
-        `offsets` (N, 6): see `pose`.
+        `offsets` (N, 6): see `poses`.
         """
-        frames = self.frames[which]
         z, geoms = [], []
-        for t, offset in zip(frames.time, offsets, strict=True):
-            place, R = self.pose(frames.run, float(t), mount, offset)
+        for place, R in zip(*self.poses(which, mount, offsets), strict=True):
             along, geom = _cast(self.terrain.model, self.terrain.data, place, self.rays @ R.T)
             # Rays have z = 1 in the camera, so what they travel in their own length is the depth.
             z.append(np.where((along > 0) & (along <= self.camera.far), along, 0.0))

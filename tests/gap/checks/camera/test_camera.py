@@ -34,10 +34,11 @@ NAMES = {"nothing": set(), "turned": {"camera_mount"}, "shifted": {"camera_mount
 
 @pytest.fixture(scope="module")
 def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, CameraFound]:
-    """By a third of the frames that are usually looked at."""
+    """By a third of the frames and pixels that are usually looked at."""
     result = {}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(calibrate, "FRAMES", 20)
+        patch.setattr(calibrate, "PIXELS", 500)
         for seed, (name, truth) in enumerate(TRUTHS.items(), 20):
             folder = tmp_path_factory.mktemp(name)
             case = make_case(folder, truth, crossings=3, terrain_seed=seed, seed=seed, depth=True, cycles=1)
