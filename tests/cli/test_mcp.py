@@ -72,7 +72,11 @@ def test_a_scene_from_a_mesh_with_progress_and_a_diagnosis_with_their_reports(ro
         async def listen(progress: float, total: float | None, message: str | None) -> None:
             heard.append((progress, message))
 
-        made = good(await client.call_tool("contact", {"meshes": "box.stl", "out": "scene"}, progress_callback=listen))
+        made = good(
+            await client.call_tool(
+                "contact", {"meshes": "box.stl", "out": "scene", "contact_probes": 200}, progress_callback=listen
+            )
+        )
         assert made["schema"] == "realsim.contact/1"
         assert made["verdict"]["level"] == "good"
         assert (root / "scene" / "scene.xml").is_file()

@@ -75,7 +75,9 @@ class Plant:
         free = np.flatnonzero(self.model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
         self.base_q = int(self.model.jnt_qposadr[free[0]]) if len(free) else -1
         """Not 0: a support that wobbles has coordinates of its own before the base's."""
-        self.feet = [self.model.body(b).id for b in robot.contact_bodies]
+        self.feet = np.array([self.model.body(b).id for b in robot.contact_bodies])[:, None]
+        sensed = ("gyro", "acc") if robot.imu_site else ()
+        self.sensors = {name: self.data.sensor(name).data for name in sensed}  # looked up once: they are views
 
     # ------------------------------------------------------------ building
 
@@ -180,23 +182,23 @@ class Plant:
             k: [] for k in ("time", "q", "v", "torque", "base", "gyro", "acc", "contact")
         }
         start = times[0] - settle
+        now = start + dt * np.arange(steps + 1)
+        current = np.maximum(np.searchsorted(times, now - t.command_delay + 1e-9, side="right") - 1, 0)
+        applied = d.qfrc_applied
         qpos0, upright = np.zeros(0), True
         changes = self.rubs or t.strange or t.force
         parts = CONTROL if changes else 1  # in which torque is computed anew, of a control step
-        for k in range(steps + 1):
-            now = start + k * dt
-            index = np.searchsorted(times, now - t.command_delay + 1e-9, side="right") - 1
-            command = commands[max(index, 0)]
-            delivered = self._servo(now - times[0], command)
-            if now >= times[0] - 1e-9:
+        for at, command in zip(now.tolist(), commands[current], strict=True):
+            delivered = self._servo(at - times[0], command)
+            if at >= times[0] - 1e-9:
                 if not rows["time"]:
                     qpos0 = self._nominal_qpos()
-                self._note(rows, now, delivered)
+                self._note(rows, at, delivered)
+            applied[self.dadr] = delivered
             for _ in range(parts):
-                d.qfrc_applied[self.dadr] = (
-                    delivered + self._friction(delivered) + self._strange(now - times[0], delivered)
-                )
-                self._push(now - times[0])
+                if changes:
+                    applied[self.dadr] = delivered + self._friction(delivered) + self._strange(at - times[0], delivered)
+                    self._push(at - times[0])
                 mujoco.mj_step(m, d, CONTROL // parts)
         if self.robot.base == "floating":
             up = np.array([np.zeros(9)])
@@ -276,9 +278,8 @@ class Plant:
         rows["torque"].append(delivered.copy())
         if self.robot.base == "floating":
             rows["base"].append(self._base())
-        if self.robot.imu_site:
-            rows["gyro"].append(d.sensor("gyro").data.copy())
-            rows["acc"].append(d.sensor("acc").data.copy())
-        if self.feet:
+        for name, values in self.sensors.items():
+            rows[name].append(values.copy())
+        if len(self.feet):
             bodies = self.model.geom_bodyid[d.contact.geom[: d.ncon].ravel()]
-            rows["contact"].append((np.array(self.feet)[:, None] == bodies).any(axis=1).astype(float))
+            rows["contact"].append((self.feet == bodies).any(axis=1).astype(float))
