@@ -33,15 +33,15 @@ def noise(rng: np.random.Generator, n: int, low: float, high: float) -> F32:
     """(n, n) band-passed noise of zero mean and unit variance that repeats: waves of `low` to `high` cycles a tile."""
     across = np.arange(min(int(high), n // 2) + 1)  # waves that the band has: the transforms need no others
     k = np.hypot(fft.fftfreq(n)[:, None] * n, across)
-    spectrum = fft.fft(fft.rfft(rng.standard_normal((n, n)))[:, : len(across)], axis=0)
-    spectrum *= ((k >= low) & (k <= high)) / np.maximum(k, 1)
-    out = fft.irfft(fft.ifft(spectrum, axis=0), n)
-    return (out / out.std()).astype(np.float32)
+    spectrum = fft.fft(fft.rfft(rng.standard_normal((n, n)).astype(np.float32))[:, : len(across)], axis=0)
+    spectrum *= (((k >= low) & (k <= high)) / np.maximum(k, 1)).astype(np.float32)
+    out = fft.irfft(fft.ifft(spectrum, axis=0, overwrite_x=True), n)
+    return out / out.std()
 
 
-def _mix(base: tuple[float, float, float], *layers: NDArray) -> NDArray:
+def _mix(base: tuple[float, float, float], *layers: NDArray) -> F32:
     """A base colour with grey layers added to it."""
-    return np.asarray(base)[None, None] + sum(layer[..., None] for layer in layers)
+    return np.asarray(base, np.float32) + np.asarray(sum(layers), np.float32)[..., None]
 
 
 def _small(rng: np.random.Generator, n: int, material: str) -> NDArray:
