@@ -18,7 +18,7 @@ from realsim.core.types import AlignedScene
 from realsim.meshing.evidence import Evidence
 from realsim.meshing.fuse import Points
 from realsim.meshing.surface import Surface
-from realsim.meshing.trim import not_seen_through, supported
+from realsim.meshing.trim import keep_measured
 from realsim.meshing.views import camera_of
 
 POINT_WEIGHT = 8.0
@@ -40,9 +40,7 @@ def tsdf(aligned: AlignedScene, evidence: Evidence) -> Surface:
 
 
 def _trimmed(surface: Surface, evidence: Evidence) -> Surface:
-    surface = surface.where(supported(surface, evidence.points, evidence.resolution))
-    keep = not_seen_through(surface, evidence.points, evidence.resolution, evidence.maps, evidence.sigma)
-    return surface.where(keep)
+    return keep_measured(surface, evidence.points, evidence.resolution, evidence.maps, evidence.sigma)
 
 
 def screened_poisson(points: Points, resolution: float) -> Surface:

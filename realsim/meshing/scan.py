@@ -15,7 +15,7 @@ from realsim.meshing.fuse import Points, thin
 from realsim.meshing.methods import screened_poisson
 from realsim.meshing.quality import degenerate
 from realsim.meshing.surface import Surface, colored_from, edges_of
-from realsim.meshing.trim import supported
+from realsim.meshing.trim import keep_measured
 
 LEVEL = 0.8
 """Least z of the normal of a level face. Between 0.7 and 0.8 as many side faces are turned rightly (0.1 to 3 % wrong on
@@ -136,7 +136,7 @@ def _surface_of_cloud(
         # Of a side face about half of the points faced in: once turned, a cell's two means are one again.
         fused = thin(replace(fused, normals=outward(fused.points, fused.normals, 3 * resolution)), 0.75 * resolution)
     surface = screened_poisson(fused, resolution)
-    surface = surface.where(supported(surface, fused, max(resolution, spacing)))
+    surface = keep_measured(surface, fused, max(resolution, spacing))
     return colored_from(surface, points, colors), resolution, noise, "poisson"
 
 
