@@ -103,6 +103,11 @@ def match(a: Keypoints, b: Keypoints) -> NDArray[np.int64]:
     return np.column_stack([rows[keep], best[keep]])
 
 
+def release() -> None:
+    """Give back what the networks hold; they are loaded again where they are asked again."""
+    _sessions.cache_clear()
+
+
 @lru_cache(maxsize=1)
 def _sessions() -> Sequence[Any]:
     from realsim.feedforward.onnx.session import runtime

@@ -12,6 +12,7 @@ from realsim.core.geometry import invert_T
 from realsim.core.ordered import in_order
 from realsim.core.progress import track
 from realsim.core.types import F64
+from realsim.feedforward import matcher
 from realsim.feedforward.rgbd.features import Match, View, build_tracks
 from realsim.feedforward.rgbd.icp_links import link_by_shape
 from realsim.feedforward.rgbd.keyframes import choose_by_matching
@@ -66,6 +67,7 @@ def estimate(views: Sequence[View], seed: int, learned: bool = True) -> Estimate
     """
     keys, followers = choose_by_matching(views, seed)
     found, landmarks = _estimate_together([views[k] for k in keys], seed, learned)
+    matcher.release()
     T = {keys[i]: pose for i, pose in zip(found.used, found.T_world_camera, strict=True)}
     lost = {keys[i]: why for i, why in found.lost.items()}
     lost |= {k: lost[key] for k, (key, _) in followers.items() if key in lost}
