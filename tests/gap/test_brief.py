@@ -35,7 +35,7 @@ def data(verdict: str, causes: int, others: int = 0) -> dict[str, Any]:
                       "per_signal": dict.fromkeys(signals, row)},
         "looks_like": [{"joint": j, "what": "friction-like", "explains": 0.6} for j in JOINTS],
         "advice": "record one run twice",
-        "statistics": {"reasons": ["before and after", "15 times the floor stays"]},
+        "statistics": {"reasons": ["before and after", "15 times the floor stays"], "cut_short": False},
         "health": {"warnings": [f"warning {i}" for i in range(20)]},
     }  # fmt: skip
 
@@ -59,6 +59,12 @@ def test_the_terminal_shows_a_dozen_lines_at_most(verdict: str, causes: int, oth
     assert ("Your model lacks friction." in lines[0]) == (verdict == "identified")
     assert "out/model.xml" in lines[-1]
     assert "record one run twice" in text
+
+
+def test_the_terminal_says_first_that_a_search_was_cut_short() -> None:
+    found = data("partly_explained", 1)
+    found["statistics"] |= {"cut_short": True}
+    assert "cut short" in _summary(found, Path("out"), DiagnoseConfig()).splitlines()[0]
 
 
 def test_size_is_in_the_signal_s_unit_beside_the_motion() -> None:

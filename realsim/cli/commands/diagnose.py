@@ -222,4 +222,5 @@ def _summary(result: Mapping[str, Any], out: Path, config: DiagnoseConfig) -> st
     if warnings:
         rows.append(("notes", f"{len(warnings)} about the log, in the report; the first: {warnings[0]}"))
     rows.append(("files", f"{out / 'model.xml'}, {out / ('report.html' if config.report else 'diagnosis.json')}"))
-    return "\n".join([f"{said.word}: {finding}", *(f"  {label:<9}{text}" for label, text in rows)])
+    cut = " (the search was cut short)" if result["statistics"]["cut_short"] else ""
+    return "\n".join([f"{said.word}{cut}: {finding}", *(f"  {label:<9}{text}" for label, text in rows)])
