@@ -46,7 +46,7 @@ def pair_score(a: Face, b: Face) -> float:
 
 
 def as_asked(
-    faces: list[Face], rule: Roles, source: MetricScene | Scan, config: AlignConfig, T_level_world: F64
+    faces: list[Face], rule: Roles, ahead: F64, source: MetricScene | Scan, config: AlignConfig, T_level_world: F64
 ) -> Roles:
     """The rule's roles, overruled by what `config` asks for.
 
@@ -55,7 +55,7 @@ def as_asked(
     Raises:
         AlignError: a role is given twice, no platform lies there, or both are the same; the platforms are listed.
     """
-    T_rule = simulation_frame(faces, rule)
+    T_rule = simulation_frame(faces, rule, ahead)
     listed = described(faces, T_rule)
     asked: dict[str, int] = {}
     for what, xy, pixel in (("start", config.start, config.start_pixel), ("goal", config.goal, config.goal_pixel)):
@@ -94,11 +94,11 @@ def _partner(faces: list[Face], one: int | None) -> int | None:
     return max(others, key=lambda k: pair_score(faces[k], faces[one])) if others and one is not None else None
 
 
-def simulation_frame(faces: list[Face], roles: Roles) -> F64:
+def simulation_frame(faces: list[Face], roles: Roles, ahead: F64) -> F64:
     """(4, 4) T_sim_level: origin on the start's top, x to the goal; without a start the levelled frame's origin,
-    without a goal its x."""
+    without a goal x along `ahead`, (2,) unit."""
     start, goal = roles
-    origin, height, x = np.zeros(2), 0.0, np.array([1.0, 0.0])
+    origin, height, x = np.zeros(2), 0.0, ahead
     if start is not None:
         origin, height = faces[start].centroid, faces[start].height
     if goal is not None:

@@ -17,12 +17,18 @@ from realsim.align.segment import Label, segmented
 from realsim.core.geometry import invert_T, make_T, transform
 from realsim.core.types import F64, AlignedScene, MetricScene, Platform, Scan
 
+UPRIGHT, WALLS, PARALLEL = 0.2, 0.1, 0.3
+"""Most |z| of an upright surface's normal; for walls, the least share of a scene that it is, and the least length of
+the mean of its directions, by quarter turns. A LiDAR room has 0.14 and 0.5, a made corridor 0.55 and 0.95; stairs in
+a niche 0.5 and 0.2."""
+
 
 def align(source: MetricScene | Scan, config: AlignConfig) -> AlignedScene:
     """Put a metric scene or a scan into the simulation frame.
 
     Origin at the centroid of the start platform's top face, z against gravity, x from the start platform's centroid
-    toward the goal's. Without a start: origin on the ground below the first camera; without a goal: x along its view.
+    toward the goal's. Without a start: origin on the ground below the first camera; without a goal: x along its view,
+    or along the walls that are nearest to that.
 
     Everything is computed relative to the first camera, so that the result does not depend on how the capture's
     world happens to lie; `T_sim_world` leads from that world.
@@ -58,9 +64,10 @@ def align(source: MetricScene | Scan, config: AlignConfig) -> AlignedScene:
     if isinstance(source, MetricScene):
         faces = refined(faces, source, T_level_world)
     # The levelled frame's origin lies below the first camera: the nearer platform is the one nearer to it.
-    roles = as_asked(faces, by_rule(faces, np.zeros(2)), source, config, T_level_world)
+    ahead = along_walls(level.normals) if cloud.held else np.array([1.0, 0.0])
+    roles = as_asked(faces, by_rule(faces, np.zeros(2)), ahead, source, config, T_level_world)
     assumptions += _assumed(roles, source, len(level.cameras) > 0)
-    T_sim_level = simulation_frame(faces, roles)
+    T_sim_level = simulation_frame(faces, roles, ahead)
     platforms = tuple(
         to_platform(face, T_sim_level, {roles[0]: "start", roles[1]: "goal"}.get(i, "platform"))
         for i, face in enumerate(faces)
@@ -116,6 +123,20 @@ def levelling(ground: Ground, cloud: Cloud) -> F64:
     R = np.stack([x, np.cross(z, x), z])
     foot = origin - ground.plane.height(origin) * z
     return make_T(R, -R @ foot)
+
+
+def along_walls(normals: F64) -> F64:
+    """(2,) unit x of a levelled frame, turned by at most 45 degrees onto the directions of most upright surface; left
+    as it is where that has none. Boxes about walls that lie across the axes hold half a room: a simulator then
+    collides everything in it (G1 in a scanned room: 1.7 times the time for pairs).
+
+    Args:
+        normals: (M, 3) unit, in the levelled frame.
+    """
+    across = normals[np.abs(normals[:, 2]) < UPRIGHT]
+    mean = np.exp(4j * np.arctan2(across[:, 1], across[:, 0])).sum() / max(len(across), 1)
+    turn = np.angle(mean) / 4 if len(across) > WALLS * len(normals) and np.abs(mean) > PARALLEL else 0.0
+    return np.array([np.cos(turn), np.sin(turn)])
 
 
 def _kept(platforms: tuple[Platform, ...], bounds: F64) -> tuple[tuple[Platform, ...], list[str]]:

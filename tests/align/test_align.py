@@ -12,6 +12,7 @@ import pytest
 
 from realsim.align import align
 from realsim.align.config import AlignConfig
+from realsim.align.scene import along_walls
 from realsim.core.errors import AlignError, UnknownNameError
 from realsim.core.geometry import exp_so3, invert_T, make_T, transform
 from realsim.core.registry import Registry
@@ -379,3 +380,17 @@ def test_a_scanner_that_knows_where_it_stood_starts_nearest(course, source):
 def test_a_scan_of_nothing_is_refused(source):
     with pytest.raises(AlignError, match="too few"):
         align(Scan(source, "cloud", np.zeros((3, 3))), CONFIG)
+
+
+@pytest.mark.parametrize("turn", [-44.0, -10.0, 0.0, 30.0, 44.0])
+def test_without_a_goal_x_is_along_the_walls_that_are_nearest(turn: float) -> None:
+    """Of a room turned by so many degrees; a round post on a floor turns nothing."""
+    rng = np.random.default_rng(0)
+    angle = np.radians(turn + 90 * rng.integers(4, size=2000)) + rng.normal(0, 0.1, 2000)
+    walls = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
+    floor = np.tile([0.0, 0.0, 1.0], (2000, 1))
+    x = along_walls(np.concatenate([walls, floor]))
+    assert np.degrees(np.arctan2(x[1], x[0])) == pytest.approx(turn, abs=1.0)
+    around = rng.uniform(-np.pi, np.pi, 2000)
+    post = np.column_stack([np.cos(around), np.sin(around), 0 * around])
+    np.testing.assert_array_equal(along_walls(np.concatenate([post, floor])), [1, 0])
