@@ -19,7 +19,7 @@ from trainer.commands.common import find_terrain
 from trainer.commands.task_file import load_task
 from trainer.errors import TrainerError
 from trainer.ppo import checkpoint, export
-from trainer.ppo.config import NetworkConfig, PPOConfig
+from trainer.ppo.config import NetworkConfig, PPOConfig, StrategyConfig
 from trainer.ppo.loop import LoopConfig
 from trainer.tasks.parkour import ParkourConfig
 from trainer.tasks.parkour.config import (
@@ -32,7 +32,7 @@ from trainer.tasks.parkour.config import (
 from trainer.terrain import generate
 from trainer.terrain.widen import LADDER
 from trainer.trainers import Scene, TrainConfig, ppo
-from trainer.trainers.ladder import ALONG, HELP_BELOW, WAITING, helped
+from trainer.trainers.ladder import ALONG, HELP_BELOW, STEADY, WAITING, helped, steadied
 
 SMALL = [
     "--worlds", "16", "--threads", "1", "--evaluate-every", "0", "--steps", "8", "--epochs", "2",
@@ -106,6 +106,13 @@ def test_help_for_a_first_success_leaves_the_users_own_settings() -> None:
     assert (task.reset.along, task.reward.weights) == (ALONG, {"dont_wait": WAITING})
     own = ParkourConfig(reset=ResetConfig(along=0.1, keep_last=0.5), reward=RewardConfig(weights={"dont_wait": -1.0}))
     assert helped(scene, own)[1] == own
+
+
+def test_a_hard_course_is_learnt_with_less_noise_unless_it_was_asked_for() -> None:
+    config = steadied(TrainConfig())
+    assert (config.ppo.std_limits, config.tuning.start_std) == ((1.0, STEADY), STEADY)
+    own = TrainConfig(tuning=StrategyConfig(start_std=0.4))
+    assert steadied(own) == own
 
 
 def failure(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, str]:
