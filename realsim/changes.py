@@ -134,7 +134,7 @@ def lay_over(before: Surface, today: Surface) -> F64:
     Raises:
         RealsimError: less than OVERLAP of the smaller one lies on the other.
     """
-    import open3d as o3d
+    from realsim.core.open3d import o3d
 
     registration: Any = o3d.pipelines.registration  # its stubs lag behind the library
     rng = np.random.default_rng(0)
@@ -185,7 +185,7 @@ def lay_over(before: Surface, today: Surface) -> F64:
 
 def _cloud(surface: Surface, rng: np.random.Generator, spacing: float = 0.02) -> Any:
     """Points with normals, even over the surface."""
-    import open3d as o3d
+    from realsim.core.open3d import o3d
 
     count = int(np.clip(areas(*surface).sum() / spacing**2, 2000, 200_000))
     points, face = sampled(*surface, count, rng)

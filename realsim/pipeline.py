@@ -251,9 +251,9 @@ class _Run:
 
 
 def import_ahead() -> None:
-    """Import Open3D, a second and a half of one core, while views are read."""
+    """Import Open3D, a second of one core, while views are read."""
     with suppress(Exception):  # the stage that needs it says so
-        import_module("open3d")
+        import_module("realsim.core.open3d")
 
 
 def release_memory() -> None:

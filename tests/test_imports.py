@@ -94,6 +94,9 @@ def test_core_works_without_heavy_packages(package: str) -> None:
     """Nothing imports an optional package, or MuJoCo, at module level (tests/test_api.py runs the core alone)."""
     for path in sorted((ROOT / "realsim").rglob("*.py")):
         assert package not in imported_at_once(path), f"{path} imports {package} at once"
+        if package == "open3d":
+            whole = {n.module for n in nodes(path) if isinstance(n, ast.ImportFrom) and n.col_offset == 0}
+            assert "realsim.core.open3d" not in whole, f"{path} imports it at once"
 
 
 def test_every_module_of_the_table_of_extras_has_one() -> None:

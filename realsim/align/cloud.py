@@ -215,7 +215,7 @@ def _voxel_for(points: F64) -> float:
 
 def _normals(points: F64, voxel: float) -> F64:
     """(M, 3) unit normals of the surface through each point's neighbours, of arbitrary sign."""
-    import open3d as o3d
+    from realsim.core.open3d import o3d
 
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
     cloud.estimate_normals(o3d.geometry.KDTreeSearchParamHybrid(radius=3.0 * voxel, max_nn=24))

@@ -12,20 +12,20 @@ from realsim.core.types import F64
 
 def raycasting_scene(vertices: F64, triangles: NDArray[Any]) -> Any:
     """An Open3D `RaycastingScene` of a mesh, in the mesh's own coordinates."""
-    import open3d
+    from realsim.core.open3d import o3d
 
-    scene: Any = open3d.t.geometry.RaycastingScene()  # its stubs know neither numpy arrays nor keyword defaults
+    scene: Any = o3d.t.geometry.RaycastingScene()  # its stubs know neither numpy arrays nor keyword defaults
     add(scene, vertices, triangles)
     return scene
 
 
 def add(scene: Any, vertices: F64, triangles: NDArray[Any]) -> None:
     """Another mesh for such a scene."""
-    from open3d.core import Tensor
+    from realsim.core.open3d import o3d
 
     scene.add_triangles(
-        Tensor.from_numpy(np.ascontiguousarray(vertices, np.float32)),
-        Tensor.from_numpy(np.ascontiguousarray(triangles, np.uint32)),
+        o3d.core.Tensor.from_numpy(np.ascontiguousarray(vertices, np.float32)),
+        o3d.core.Tensor.from_numpy(np.ascontiguousarray(triangles, np.uint32)),
     )
 
 
@@ -41,9 +41,9 @@ class Rays:
         self._scene = raycasting_scene(vertices - self.centre, triangles)
 
     def _tensor(self, origins: F64, directions: F64) -> Any:
-        from open3d.core import Tensor
+        from realsim.core.open3d import o3d
 
-        return Tensor.from_numpy(np.concatenate([origins - self.centre, directions], -1).astype(np.float32))
+        return o3d.core.Tensor.from_numpy(np.concatenate([origins - self.centre, directions], -1).astype(np.float32))
 
     def cast(self, origins: F64, directions: F64) -> tuple[F64, NDArray[np.int64]]:
         """First hits of rays (..., 3): (...) distance in units of the direction's length, infinity for none, and the
@@ -81,9 +81,9 @@ class Rays:
         return np.asarray(near, float) + self.centre
 
     def _query(self, points: F64) -> Any:
-        from open3d.core import Tensor
+        from realsim.core.open3d import o3d
 
-        return Tensor.from_numpy((points - self.centre).astype(np.float32))
+        return o3d.core.Tensor.from_numpy((points - self.centre).astype(np.float32))
 
 
 def heights(vertices: F64, triangles: NDArray[Any], low: ArrayLike, high: ArrayLike, cell: float) -> F64:

@@ -48,7 +48,7 @@ def screened_poisson(points: Points, resolution: float) -> Surface:
 
     One thread: with more, the solver's sums run in another order each time and the bytes differ.
     """
-    import open3d as o3d
+    from realsim.core.open3d import o3d
 
     if len(points) < 100:
         raise MeshError(
@@ -111,8 +111,9 @@ def fused_distance(aligned: AlignedScene, resolution: float, min_weight: float =
     Args:
         min_weight: views that must have contributed to a voxel.
     """
-    import open3d as o3d
-    import open3d.core as o3c
+    from realsim.core.open3d import o3d
+
+    o3c = o3d.core
 
     metric = aligned.metric
     assert metric is not None

@@ -113,8 +113,9 @@ def oriented(surface: Surface) -> Surface:
 def _surface_of_cloud(
     points: F64, normals: F64 | None, colors: np.ndarray | None, sensor: F64 | None, config: MeshConfig
 ) -> tuple[Surface, float, float | None, str]:
-    import open3d as o3d
     from scipy.spatial import cKDTree
+
+    from realsim.core.open3d import o3d
 
     pick = np.linspace(0, len(points) - 1, min(len(points), 5000)).astype(int)
     tree = cKDTree(points)

@@ -29,7 +29,7 @@ class Renderer:
             lamps: (L, 3) middles of the ceiling lights, of which the nearest two light a point; None: two above the
                 first solid.
         """
-        import open3d as o3d
+        from realsim.core.open3d import o3d
 
         self._tensor: Any = o3d.core.Tensor
         self.intrinsics = intrinsics

@@ -31,7 +31,7 @@ class Caster:
         for index in np.unique(terrain_ids):
             scene = self._scene(int(index))
             if scene is not None:  # bare ground needs no Open3D
-                import open3d as o3d
+                from realsim.core.open3d import o3d
 
                 rows = np.flatnonzero(terrain_ids.numpy() == index)
                 found = scene.cast_rays(o3d.core.Tensor.from_numpy(np.ascontiguousarray(flat[rows])))["t_hit"].numpy()
@@ -44,7 +44,7 @@ class Caster:
         if not len(terrain.triangles):
             return None
         if index not in self._scenes:
-            import open3d as o3d
+            from realsim.core.open3d import o3d
 
             scene = o3d.t.geometry.RaycastingScene()
             scene.add_triangles(

@@ -205,7 +205,7 @@ def propose_starts(a: tuple[F64, F64], b: tuple[F64, F64], rng: np.random.Genera
 
 def describe_shape(view: View, cell: float = 0.06) -> tuple[F64, F64]:
     """(M, 3) points about `cell` metres apart and their (M, 33) FPFH descriptors; flat surroundings are left out."""
-    import open3d as o3d
+    from realsim.core.open3d import o3d
 
     known = (view.depth > 0) & (np.abs(view.normal).sum(-1) > 0)
     cloud = o3d.geometry.PointCloud()
@@ -216,7 +216,7 @@ def describe_shape(view: View, cell: float = 0.06) -> tuple[F64, F64]:
     if len(cloud.points) < 50:
         return np.zeros((0, 3)), np.zeros((0, 33))
     near = o3d.geometry.KDTreeSearchParamHybrid(radius=5 * cell, max_nn=100)
-    features = np.asarray(o3d.pipelines.registration.compute_fpfh_feature(cloud, near).data).T  # type: ignore[call-arg]
+    features = np.asarray(o3d.pipelines.registration.compute_fpfh_feature(cloud, near).data).T
     # A plane's descriptor is the commonest; what lies far from the mean tells places apart.
     unusual = np.linalg.norm(features - np.median(features, 0), axis=1)
     keep = unusual > np.median(unusual)
