@@ -246,8 +246,31 @@ def test_rtabmap_matrices_without_a_name_need_as_many_images(tmp_path):
     np.savetxt(tmp_path / "map_camera_poses.txt", table)
     np.testing.assert_allclose(frames_of(tmp_path).frames[2].T_world_camera, views[2].T_world_camera, atol=1e-6)
     np.savetxt(tmp_path / "map_camera_poses.txt", table[1:])
-    with pytest.raises(PoseError, match="another number of poses"):
+    with pytest.raises(PoseError, match="nothing tells which pose"):
         frames_of(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "error"),
+    [
+        ("map_calib/*.yaml", "-1., 0., 0.2", "0.2", "local_transform"),
+        ("map_calib/*.yaml", "local_transform", "elsewhere", "where the camera is on the robot"),
+        ("map_calib/*.yaml", "projection_matrix", "p", "not a camera matrix"),
+    ],
+)
+def test_rtabmap_names_what_is_wrong_with_its_files(file, old, new, error, tmp_path):
+    write_rtabmap(tmp_path, walk(2))
+    for path in tmp_path.glob(file):
+        path.write_text(path.read_text().replace(old, new))
+    with pytest.raises(RealsimError, match=error):
+        frames_of(tmp_path)
+
+
+def test_rtabmap_leaves_out_the_images_of_nodes_that_were_lost(tmp_path):
+    write_rtabmap(tmp_path, walk(2))
+    rows = (tmp_path / "map_poses.txt").read_text().splitlines()
+    (tmp_path / "map_poses.txt").write_text("\n".join([rows[0], "nan " * 8 + "1", rows[2]]))
+    assert [f.name for f in frames_of(tmp_path).frames] == ["4"]
 
 
 def test_bop_names_what_is_wrong_with_its_cameras(tmp_path):

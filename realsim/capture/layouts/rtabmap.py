@@ -67,7 +67,7 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
     require_both(color, depth, folder, f"{name}rgb/ and {name}depth/ with images")
     files = {path.stem: path for path in calibrations(folder, name)}
     if not files:
-        raise no_intrinsics(folder, (f"{name}calib/*.yaml",))
+        raise no_intrinsics(folder, (f"{name}calib/*.yaml",), "export the images anew, with their calibration")
     pairs, rule = pair_by_stem(color, depth)
     color_size, depth_size = sizes_of(color, depth)
     own = next(iter(files)) if len(files) == 1 else None
@@ -84,7 +84,11 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
         lens, on_robot = of_file[stem]
         of_depth, of_color = on_two_grids(lens.sized(color_size), depth_size)
         T = poses.get(pair.name)
-        return View(of_depth, of_color, T @ on_robot if T is not None and of_robot else T)
+        if of_robot and T is not None:
+            if on_robot is None:
+                raise PoseError("its calibration has no local_transform: where the camera is on the robot is not known")
+            T = T @ on_robot
+        return View(of_depth, of_color, T)
 
     frames, dropped = frames_with(pairs, unit, view_of)
     assumptions = [*camera.notes, unit.note, rule, "depth is registered to colour"]
@@ -94,8 +98,8 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
     return capture(folder, LAYOUT.name, frames, dropped, assumptions, camera.warnings)
 
 
-def read_calibration(path: Path) -> tuple[Camera, F64]:
-    """The camera, and (4, 4) its place on the robot.
+def read_calibration(path: Path) -> tuple[Camera, F64 | None]:
+    """The camera, and (4, 4) its place on the robot if the file says.
 
     It is taken from the projection matrix: versions until 2024 wrote the camera matrix with its last row in the wrong
     place (issue 1253).
@@ -107,9 +111,10 @@ def read_calibration(path: Path) -> tuple[Camera, F64]:
             data = {**data, "camera_matrix": P.reshape(3, 4)[:, :3].tolist()}
     camera = camera_from_mapping(data, path).y_down()
     local = data.get("local_transform")
-    if not isinstance(local, Mapping):
-        return camera, np.eye(4)
-    return camera, matrix_of(np.array(local.get("data"), object).reshape(-1, 4).tolist(), "local_transform", path)
+    cells = local.get("data") if isinstance(local, Mapping) else None
+    if not isinstance(cells, list):
+        return camera, None
+    return camera, matrix_of([cells[k : k + 4] for k in range(0, len(cells), 4)], "local_transform", path)
 
 
 def read_poses(path: Path, names: Sequence[str]) -> dict[str, F64]:
@@ -119,26 +124,30 @@ def read_poses(path: Path, names: Sequence[str]) -> dict[str, F64]:
         PoseError: rows of another kind, or another number of them where only the order tells whose they are.
     """
     lines = [line for line in read_text(path).splitlines() if line.strip() and not line.startswith("#")]
-    count = len(lines[0].split()) if lines else 0
-    rows = np.array(list(read_rows(path, COLUMNS.get(count, COLUMNS[9]))))
+    count = len(lines[0].split()) if lines else 9
+    rows = np.array(list(read_rows(path, COLUMNS.get(count, COLUMNS[9])))).reshape(-1, count)
     if count == 12:
         T = np.concatenate([rows.reshape(-1, 3, 4), np.tile([[[0.0, 0, 0, 1]]], (len(rows), 1, 1))], 1)
-    else:
+    else:  # a row of a node that was lost holds NaN or zeros
+        rows = rows[np.isfinite(rows).all(1) & (np.abs(np.linalg.norm(rows[:, 4:8], axis=1) - 1) < 0.05)]
         T = np.array([make_T(quat_to_R(row[[7, 4, 5, 6]]), row[1:4]) for row in rows])
+    found: dict[str, F64] = {}
     if count == 9 and all(name.isdigit() for name in names):
-        return dict(zip((str(int(node)) for node in rows[:, 8]), T, strict=True))
-    if count < 12 and len(rows) and all(_is_time(name) for name in names):
+        found = dict(zip((str(int(node)) for node in rows[:, 8]), T, strict=True))
+    elif count < 12 and len(rows) and all(_is_time(name) for name in names):
         nearest = {name: int(np.abs(rows[:, 0] - float(name)).argmin()) for name in names}
-        return {name: T[k] for name, k in nearest.items() if abs(rows[k, 0] - float(name)) < SAME}
-    if len(rows) != len(names):
+        found = {name: T[k] for name, k in nearest.items() if abs(rows[k, 0] - float(name)) < SAME}
+    elif len(rows) == len(names):
+        found = dict(zip(names, T, strict=True))
+    if not found.keys() & set(names):
         raise PoseError(
-            "another number of poses than of images, and nothing that tells whose they are",
+            "nothing tells which pose belongs to which image",
             file=path,
-            expected=f"{len(names)} rows",
-            found=f"{len(rows)}",
+            expected=f"{len(names)} rows in their order, or rows with their node or time",
+            found=f"{len(rows)} rows of {count} numbers",
             hint="export poses with node or time (--poses_format 11)",
         )
-    return dict(zip(names, T, strict=True))
+    return found
 
 
 def _is_time(name: str) -> bool:
