@@ -160,7 +160,8 @@ def _moved(cloud: Cloud, T: F64) -> Cloud:
 def _assumed(roles: Roles, source: MetricScene | Scan, stood: bool) -> list[str]:
     """Assumptions of the frame that the capture does not settle."""
     start, goal = roles
-    ahead = "the first camera's view" if stood and isinstance(source, MetricScene) else "the source's own x"
+    seen = stood and isinstance(source, MetricScene)
+    ahead = "the first camera's view or walls near it" if seen else "the source's own x"
     below = "the first camera" if isinstance(source, MetricScene) else "the sensor" if stood else "the source's origin"
     if start is None and goal is not None:
         return [f"the way begins on the ground: the origin is below {below}, x toward the goal"]
