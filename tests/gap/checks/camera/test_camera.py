@@ -34,7 +34,7 @@ NAMES = {"nothing": set(), "turned": {"camera_mount"}, "shifted": {"camera_mount
 
 @pytest.fixture(scope="module")
 def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, CameraFound]:
-    """By a third of the frames and pixels that are usually looked at."""
+    """By a third of the usual frames, and two thirds of their pixels."""
     result = {}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(calibrate, "FRAMES", 20)
