@@ -13,7 +13,7 @@ UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
 """Name of a unit of scans -> its length in metres."""
 LAYOUTS = (
     "{auto,open3d,tum,sevenscenes,replica,scannet,pcd,nerfstudio,polycam,record3d,record3d_exr,stray,arkitscenes,"
-    "scannerapp,realsense,rosbag,scan,plain}"
+    "scannerapp,rtabmap,bop,realsense,rosbag,scan,plain}"
 )
 """What --help shows, besides those of installed packages; a test holds it to the registry."""
 

@@ -16,7 +16,7 @@ LOOP = runpy.run_path(str(Path(__file__).resolve().parents[2] / "benchmarks" / "
 @pytest.mark.parametrize(("name", "late"), [("payload", 0.0), ("motors", 0.0), ("delay", 0.05)])
 def test_the_robot_is_logged_as_it_is_and_its_model_as_it_is_believed(name: str, late: float, tmp_path: Path) -> None:
     real = LOOP["REAL"]["quadruped"][name]
-    LOOP["write_case"](real, "quadruped", tmp_path)
+    LOOP["write_log"](real, "quadruped", tmp_path)
     case = load_case(tmp_path)
     nominal = ROBOTS["quadruped"]().robot.spec.copy().compile()
     assert case.model.body_subtreemass[1] == pytest.approx(nominal.body_subtreemass[1])
@@ -31,7 +31,7 @@ def test_the_robot_is_logged_as_it_is_and_its_model_as_it_is_believed(name: str,
 
 
 def test_g1_is_logged_as_it_hangs_and_its_model_knows_nothing_of_weak_motors(tmp_path: Path) -> None:
-    LOOP["write_case"](LOOP["REAL"]["g1"]["motors"], "g1", tmp_path)
+    LOOP["write_log"](LOOP["REAL"]["g1"]["motors"], "g1", tmp_path)
     case = load_case(tmp_path)
     nominal, run = ROBOTS["g1"](), case.runs[0]
     gains = nominal.robot.spec.copy().compile().actuator_gainprm[:, 0]

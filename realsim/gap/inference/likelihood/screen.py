@@ -190,12 +190,13 @@ class Screen:
 
     def _varied(self, count: int = 3) -> tuple[int, ...] | None:
         """Positions of a few screened runs from calm to lively, for the searches of rivals where simulating takes long;
-        None where it does not."""
-        if not self.slow:
+        None where it does not, or where there are fewer: then coarse steps did not settle friction beside weak motors.
+        """
+        if len(self.runs) < count or not self.slow:
             return None
         commands = [self.simulator.case.runs[r].command for r in self.runs]
         order = np.argsort([float(np.abs(np.diff(c, axis=0)).sum() / len(c)) for c in commands])
-        few = np.linspace(0, len(order) - 1, min(count, len(order)))
+        few = np.linspace(0, len(order) - 1, count)
         return tuple(int(order[i]) for i in few.round().astype(int))
 
     def relinearise(self, settings: Sequence[Setting], conditions: Conditions) -> None:
