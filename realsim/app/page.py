@@ -33,6 +33,8 @@ class Desk:
         self.roots = roots
         self.opened: Path | None = None
         self.kind: Kind | None = None
+        self.known = True
+        """Whether the files of what was opened are of a known kind; else `kind` is a guess."""
         self.look: Work | None = None
         self.preview = Preview()
         self.works: list[Work] = []
@@ -44,6 +46,13 @@ class Desk:
     @property
     def root(self) -> Path:
         return self.roots.folders[0]
+
+    @property
+    def ways(self) -> tuple[str, ...]:
+        """The actions that fit what was opened: none where it is of no known kind, and its command refused it."""
+        if self.kind is None or (not self.known and self.look is not None and self.look.state == "failed"):
+            return ()
+        return WAYS.get(self.kind.name, ((), ()))[1]
 
     async def open(self, text: str) -> None:
         """Recognise what is at a path: by its files, then by the command that reads it, then by pictures.
@@ -59,7 +68,9 @@ class Desk:
             await before.cancel()
         # An input of no known kind is read as a capture, whose reader says what is missing.
         self.opened, self.preview = path, Preview()
-        kind = self.kind = recognise(path) or KINDS["capture"]
+        recognised = recognise(path)
+        self.known = recognised is not None
+        kind = self.kind = recognised or KINDS["capture"]
         command, _ = WAYS.get(kind.name, ((), ()))
         if not command:
             return
@@ -102,6 +113,7 @@ def show(desk: Desk) -> None:
     from nicegui import ui
 
     ui.add_css("pre{white-space:pre-wrap;overflow-wrap:anywhere;font-size:12px;margin:0} .q-card{box-shadow:none}")
+    ui.add_css(".q-notification__message{white-space:pre-line;overflow-wrap:anywhere}")  # an error has lines
     with ui.column().classes("w-full max-w-5xl mx-auto gap-4 p-2"):
         ui.label("realsim").classes("text-2xl font-bold").props('role="heading" aria-level="1"')
         ui.label(f"Folder: {desk.root}").classes("text-sm opacity-70 break-all")
@@ -211,7 +223,7 @@ def _recognised(desk: Desk, refreshed: Callable[[], None]) -> None:
     if desk.opened is None or desk.kind is None:
         return
     with ui.card().classes("w-full"):
-        _title(f"{desk.opened.name}: {desk.kind.what}")
+        _title(f"{desk.opened.name}: {desk.kind.what if desk.known or desk.ways else 'not recognised'}")
         if desk.look is not None:
             _looked(desk.look)
         if desk.preview.pictures:
@@ -226,7 +238,7 @@ def _recognised(desk: Desk, refreshed: Callable[[], None]) -> None:
                 scene.point_cloud(desk.preview.points.tolist(), desk.preview.colors.tolist(), size)
                 away = desk.preview.reach
                 scene.move_camera(0, -1.3 * away, away, 0, 0, 0, duration=0)
-        for name in WAYS.get(desk.kind.name, ((), ()))[1]:
+        for name in desk.ways:
             _starter(desk, ACTIONS[name], desk.opened, refreshed)
         found = next((r for r in results_below(desk.opened) if r.folder == desk.opened), None)
         if found is not None:
@@ -304,12 +316,15 @@ def _running(desk: Desk, refreshed: Callable[[], None]) -> None:
                     found = next(iter(results_below(work.out)), None)
                     if found is not None:
                         _result(desk, found, refreshed)
+                    else:
+                        ui.label(f"written into {work.out}").classes("text-sm break-all")
 
 
 def _progress(work: Work) -> str:
     spent = time.monotonic() - work.began
     share = "" if work.share is None else f", {work.share:.0%}"
-    left = "" if work.left is None else f"; about {work.left:.0f} s left"
+    remaining = work.remaining()
+    left = "" if remaining is None else f"; about {remaining:.0f} s left"
     return f"{work.step or 'starting'}{share}; {spent:.0f} s so far{left}"
 
 
@@ -378,24 +393,30 @@ def _result(desk: Desk, result: Result, refreshed: Callable[[], None]) -> None:
         ui.button("Use it", on_click=lambda: _use(result)).props("dense outline")
 
 
+def lines_to_use(result: Result) -> tuple[str, str]:
+    """(Python, shell) that go on with a result, whatever characters its folder's name has."""
+    folder = shlex.quote(str(result.folder))
+    if result.kind == "scene":
+        python = (
+            f"import realsim as rs\n\nscene = rs.load_scene({str(result.folder)!r})\n"
+            "model = scene.model()  # mujoco.MjModel"
+        )
+        view = f"python -m mujoco.viewer --mjcf={shlex.quote(str(result.folder / 'scene.xml'))}"
+        return python, f"{view}\nrealsim finetune {folder} --out tuned"
+    python = (
+        "import mujoco\nimport realsim as rs\n\n"
+        f"found = rs.load_diagnosis({str(result.folder)!r})\n"
+        'spec = mujoco.MjSpec.from_file("model.xml")  # the model that was diagnosed\n'
+        "rs.apply_patch(spec, found)"
+    )
+    return python, f"realsim finetune SCENE --diagnosis {folder} --out tuned"
+
+
 def _use(result: Result) -> None:
     """How to go on with a result: lines to copy."""
     from nicegui import ui
 
-    if result.kind == "scene":
-        python = (
-            f'import realsim as rs\n\nscene = rs.load_scene("{result.folder}")\nmodel = scene.model()  # mujoco.MjModel'
-        )
-        view = f"python -m mujoco.viewer --mjcf={result.folder / 'scene.xml'}"
-        shell = f"{view}\nrealsim finetune {result.folder} --out tuned"
-    else:
-        python = (
-            "import mujoco\nimport realsim as rs\n\n"
-            f'found = rs.load_diagnosis("{result.folder}")\n'
-            'spec = mujoco.MjSpec.from_file("model.xml")  # the model that was diagnosed\n'
-            "rs.apply_patch(spec, found)"
-        )
-        shell = f"realsim finetune SCENE --diagnosis {result.folder} --out tuned"
+    python, shell = lines_to_use(result)
     with ui.dialog() as dialog, ui.card().classes("w-full"):
         _title("Use it")
         ui.code(python, language="python").classes("w-full")

@@ -26,7 +26,8 @@ class Work:
     share: float | None = None
     """The share of the step that is done, 0..1, where it is known."""
     left: float | None = None
-    """Seconds that the whole will still take, where that is known."""
+    """Seconds that the whole will still take, where that is known, from `heard` on."""
+    heard: float = 0.0
     began: float = 0.0
     seconds: float = 0.0
     steps: list[str] = field(default_factory=list)
@@ -37,6 +38,11 @@ class Work:
     @property
     def ended(self) -> bool:
         return self.state in ("done", "failed", "cancelled")
+
+    def remaining(self) -> float | None:
+        """`left` less the time since it was heard; None once that has passed."""
+        seconds = 0.0 if self.left is None else self.left - (time.monotonic() - self.heard)
+        return seconds if seconds >= 1 else None
 
     async def run(self) -> None:
         """Run it to its end. A failure is a state, not an exception."""
@@ -64,4 +70,4 @@ class Work:
             self.steps.append(what)
         self.share = None if report["share"] is None else min(max(float(report["share"]), 0.0), 1.0)
         if "left" in report:
-            self.left = float(report["left"])
+            self.left, self.heard = float(report["left"]), time.monotonic()

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from realsim.capture.config import CaptureConfig
+from realsim.core.errors import CaptureError
 from realsim.core.types import FrameSet, Scan
 
 CAMERA, PHONE = 0.006, 0.04
@@ -29,6 +30,16 @@ class Recognition:
     """Missing parts that the layout needs, in words."""
     score: int = 0
     """How specific the evidence is. Among complete layouts the highest wins; equal ones are ambiguous."""
+
+    def __post_init__(self) -> None:
+        for name in ("evidence", "missing"):
+            value = getattr(self, name)
+            if not isinstance(value, tuple):
+                raise CaptureError(
+                    f"a layout's `recognise` answers with `{name}` that is no tuple of texts",
+                    expected='Recognition(("12 x shot_*.npz",), missing=(), score=30)', found=repr(value)[:80],
+                    hint="docs/captures.md, a layout of your own, shows one",
+                )  # fmt: skip
 
     @property
     def complete(self) -> bool:

@@ -48,12 +48,13 @@ def main(argv: Sequence[str] | None = None) -> int:
             named = arguments[0] if arguments and arguments[0].isalpha() else "COMMAND"
             _tell(f"error: {error.render()}".replace("realsim help COMMAND", f"realsim help {named}"), "red")
         return 2
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as ended:
         if as_json:
-            _write(sys.stdout, _error({"error": "Interrupted", "message": "interrupted"}))
+            said = f"interrupted: {ended}" if str(ended) else "interrupted"
+            _write(sys.stdout, _error({"error": "Interrupted", "message": said}))
         else:
             kept = "" if "--no-cache" in sys.argv else "; finished stages are kept and reused"
-            _tell(f"interrupted: nothing half-written is left{kept}", "yellow")
+            _tell(f"interrupted: {ended if str(ended) else f'nothing half-written is left{kept}'}", "yellow")
         return 130
     except BrokenPipeError:
         _drop(sys.stdout)

@@ -207,7 +207,7 @@ def explain(error: RealsimError, path: Path, takes: Collection[str]) -> bool:
             error.hint = did_you_mean(path.name, _siblings(path), cutoff=0.6) or absent
         return False
     kind = recognise(path)
-    if kind is not None and kind.name == "mesh" and path.is_dir() and takes == TAKES["meshes"]:
+    if kind is not None and kind.name == "mesh" and path.is_dir() and tuple(takes) == TAKES["meshes"]:
         error.found, error.hint = "a folder of meshes", f"name its files: {shlex.quote(str(path))}/*"
         return True
     if kind is None or kind.name in takes:
@@ -259,7 +259,8 @@ def explain_inputs(function: Callable[P, T], takes: Mapping[str, Collection[str]
             known = [(n, p) for n, p in inputs if n in takes and isinstance(p, str | os.PathLike) and str(p)]
             # Of many, the one that the error is about.
             for name, path in [(n, p) for n, p in known if str(p) == error.file] or known:
-                if explain(error, Path(path), takes[name]):
+                recordings = TAKES["recording"] if given.get("model") is not None else ()  # with --model they are taken
+                if explain(error, Path(path), (*takes[name], *recordings)):
                     break
             raise
 

@@ -31,7 +31,8 @@ BLOCK = 50_000
 PREAMBLE = 60
 """Lines in which the numbers must begin."""
 ENCODINGS = ("utf-8-sig", "cp1252")
-"""In the order in which they are tried; cp1252 is what spreadsheets on Windows write."""
+"""In the order in which they are tried; cp1252 is what spreadsheets on Windows write, in China gb18030."""
+CHINESE = "gb18030"
 EMPTY = ("", "nan", "null", "none", "na", "n/a", "-")
 """How a cell says that there is no number."""
 _BLANKS = re.compile(r"(?:^#)?[ ]+")
@@ -180,9 +181,29 @@ def _empty(value: Any) -> bool:
 
 
 def _encoding(path: Path) -> str:
-    """UTF-16 by its mark, as Excel writes it; else nothing."""
+    """UTF-16 by its mark, as Excel writes it; GB 18030 by its pairs of bytes; else nothing."""
     with path.open("rb") as file:
-        return "utf-16" if file.read(2) in (b"\xff\xfe", b"\xfe\xff") else ""
+        data = file.read(65536)
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return "utf-16"
+    return CHINESE if _is_chinese(data) else ""
+
+
+def _is_chinese(data: bytes) -> bool:
+    """Whether text is in GB 18030: all bytes beyond ASCII in pairs, nearly all of them of frequent characters.
+
+    Letters with accents in cp1252 stand alone, or their pairs (`öß`) are of rare characters.
+    """
+    runs = [run for line in data.splitlines()[:PREAMBLE] for run in re.findall(rb"[\x80-\xff]+", line)]
+    pairs = [run[k : k + 2] for run in runs for k in range(0, len(run), 2)]
+    if not pairs or any(len(pair) < 2 for pair in pairs):
+        return False
+    try:
+        data[: data.rfind(b"\n") + 1].decode("utf-8")
+    except UnicodeDecodeError:
+        frequent = [pair for pair in pairs if 0xB0 <= pair[0] <= 0xD7 and pair[1] >= 0xA1]
+        return len(set(frequent)) > 1 and len(frequent) >= 0.8 * len(pairs)
+    return False
 
 
 def _split(line: str, delimiter: str) -> list[str]:

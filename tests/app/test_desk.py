@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 import asyncio
 import json
+import shlex
 import time
 from pathlib import Path
 
@@ -12,8 +14,8 @@ import pytest
 import trimesh
 
 from realsim.app.actions import ACTIONS, WAYS, arguments_of, free_folder
-from realsim.app.gallery import results_below
-from realsim.app.page import Desk
+from realsim.app.gallery import Result, results_below
+from realsim.app.page import Desk, lines_to_use
 from realsim.app.work import Work
 from realsim.cli.roots import Roots
 from realsim.cli.table import COMMANDS
@@ -136,3 +138,35 @@ def test_nothing_outside_the_folder_is_opened(tmp_path: Path) -> None:
     (tmp_path / "in").mkdir()
     with pytest.raises(RealsimError, match="leads out"):
         asyncio.run(Desk(Roots([tmp_path / "in"])).open("../"))
+
+
+def test_a_folder_of_no_known_kind_offers_no_command(tmp_path: Path) -> None:
+    (tmp_path / "notes").mkdir()
+    (tmp_path / "notes" / "todo.odt").write_bytes(b"x")
+    desk = Desk(Roots([tmp_path]))
+    asyncio.run(desk.open("notes"))
+    assert desk.look is not None
+    assert desk.look.state == "failed"
+    assert desk.ways == ()
+    trimesh.creation.box((2.0, 1.0, 0.5)).export(tmp_path / "box.ply")
+    asyncio.run(desk.open("box.ply"))
+    assert "contact" in desk.ways
+
+
+def test_the_time_that_is_left_goes_down_and_never_stands_at_zero() -> None:
+    work = Work("a", ())
+    assert work.remaining() is None
+    work.hear({"what": "points", "share": None, "left": 30})
+    work.heard -= 10
+    assert work.remaining() == pytest.approx(20, abs=1)
+    work.heard -= 20
+    assert work.remaining() is None
+
+
+@pytest.mark.parametrize("kind", ["scene", "diagnosis"])
+def test_lines_to_copy_hold_for_any_folder(tmp_path: Path, kind: str) -> None:
+    folder = tmp_path / 'my "first" scene'
+    python, shell = lines_to_use(Result(folder, kind, "good", "", None, 0.0))
+    texts = [n.value for n in ast.walk(ast.parse(python)) if isinstance(n, ast.Constant)]
+    assert str(folder) in texts
+    assert any(str(folder) in word for word in shlex.split(shell))

@@ -575,3 +575,8 @@ def test_a_negative_fy_is_taken_with_y_down_and_that_is_said(tmp_path, text):
     capture = frames_of(tmp_path)
     assert capture.frames[0].intrinsics == CAMERA
     assert any("y axis points up" in a for a in capture.assumptions)
+
+
+def test_a_layout_of_ones_own_that_answers_wrongly_is_told_how() -> None:
+    with pytest.raises(CaptureError, match="no tuple of texts"):
+        Recognition(True, "3 x shot_*.npz")  # type: ignore[arg-type]

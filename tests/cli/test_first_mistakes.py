@@ -11,8 +11,9 @@ import trimesh
 
 import realsim as rs
 from realsim.cli.command_line import main
+from realsim.cli.commands import diagnose
 from realsim.core import errors
-from realsim.core.recognise import KINDS, recognise, whole
+from realsim.core.recognise import KINDS, explain_inputs, recognise, whole
 from tests.gap.truth import ARM
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -170,3 +171,28 @@ def test_what_is_shown_always_says_what_to_do(kind: type[errors.RealsimError]) -
     assert "\n  do: " in error.render()
     assert error.as_dict()["hint"]
     assert "do:" not in str(error), "in a note about one of many, it would be noise"
+
+
+def test_a_recording_with_its_model_is_no_mistake(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is wrong is inside it: the error keeps its words, and names the recording."""
+    monkeypatch.setattr(diagnose, "from_recording", lambda recording, model, case: case)
+
+    def used(cases: Path, model: Path | None) -> None:
+        with diagnose.case_for_now(cases, model or Path("robot.xml")) as case:
+            raise errors.RealsimError("no gyroscope", file=case, expected="imu_gyro")
+
+    run = Path("run.csv")
+    with pytest.raises(errors.RealsimError) as raised:
+        explain_inputs(used)(run, model=Path("robot.xml"))
+    assert (raised.value.file, raised.value.found, raised.value.hint) == ("run.csv", None, None)
+    with pytest.raises(errors.RealsimError) as raised:
+        explain_inputs(used)(run, model=None)
+    assert "realsim log run.csv" in str(raised.value.hint)
+
+
+@pytest.mark.parametrize("command", ["diagnose run.csv --check", "doctor run.csv --policy policy.onnx"])
+def test_a_recording_without_its_model_asks_for_it(
+    place: Path, capsys: pytest.CaptureFixture[str], command: str
+) -> None:
+    assert main(command.split()) == 2
+    assert "--model" in capsys.readouterr().err

@@ -221,7 +221,7 @@ def test_an_interrupted_run_is_kept_up_to_the_last_checkpoint(tmp_path: Path, mo
 
     monkeypatch.setattr(r, "iterate", interrupted)
     config = LoopConfig(iterations=5, checkpoint_every=100, tensorboard=False)
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(KeyboardInterrupt, match=r"--resume .*policy\.pt"):
         train(r, config, tmp_path)
     rest = runner(BRIEF, worlds=4)
     train(rest, config, tmp_path, resume=tmp_path / "policy.pt")

@@ -84,7 +84,7 @@ def train(
         save(runner, history, folder, best)
     else:
         runner.begin()
-    with _writer(folder, runner, config.tensorboard) as write, _progress(runner, config) as show:
+    with _kept(folder), _writer(folder, runner, config.tensorboard) as write, _progress(runner, config) as show:
         if runner.iteration == 0 and history.evaluations:
             write({"iteration": 0, "success": history.evaluations[0][1]})
         while not done:
@@ -167,6 +167,20 @@ class Watch:
         if history.at(iteration) and best.rate - history.evaluations[-1][1] > FALLEN:
             return f"success fell from {best.rate:.0%} to {history.evaluations[-1][1]:.0%}"
         return None
+
+
+@contextmanager
+def _kept(folder: Path) -> Iterator[None]:
+    """An interrupt says how to go on."""
+    try:
+        yield
+    except KeyboardInterrupt as error:
+        latest = folder / "policy.pt"
+        raise KeyboardInterrupt(
+            f"the last checkpoint is kept; the same command with --resume {latest} goes on from it"
+            if latest.is_file()
+            else f"there is no checkpoint yet: the first is written after {SAVED_S:.0f} s of training"
+        ) from error
 
 
 def save(runner: Runner, history: History, folder: Path, best: Best) -> None:

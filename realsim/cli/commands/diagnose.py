@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -76,7 +77,7 @@ def diagnose(
             hint="realsim diagnose CASE --check; realsim log makes a case of a recording",
         )
     if model is None:
-        refuse_recording(cases[0])
+        refuse_recording(cases[0], has_model=True)
     elif (cases[0] / "log.json").exists():
         raise RealsimError(
             "--model belongs to a recording: this is a case, which has its own", file=cases[0],
@@ -91,8 +92,8 @@ def diagnose(
         refuse_recording(since)
     trained = partial(_contract, policy=policy, deploy_yaml=deploy_yaml) if policy is not None else None
     if check and model is not None and len(cases) == 1:
-        with TemporaryDirectory() as temporary:
-            return _checked((from_recording(cases[0], model, Path(temporary) / cases[0].stem),), config, trained)
+        with case_for_now(cases[0], model) as made:
+            return _checked((made,), config, trained)
     if check:
         return _checked(cases, config, trained)
     out = out or Path("diagnosis")
@@ -185,16 +186,21 @@ def _contract(folder: Path, policy: Path, deploy_yaml: Path | None) -> Found:
     return contract.check(trained, contract.read_steps(case, trained.camera))
 
 
-def refuse_recording(path: Path) -> None:
-    """A recording has no model yet; a case has. Raises RealsimError for what `realsim log` can read."""
+def refuse_recording(path: Path, has_model: bool = False) -> None:
+    """A recording has no model yet; a case has. Raises RealsimError for what `realsim log` can read.
+
+    Args:
+        has_model: whether the command has an option for it.
+    """
     from realsim.gap.recordings.reading import reader_of
 
+    beside = "add --model robot.xml to this command; or " if has_model else ""
     if not (path / "log.json").exists() and path.exists() and reader_of(path) is not None:
         raise RealsimError(
             "this is a recording, not a case",
             file=path,
             expected="a folder with log.json, model.xml and runs/",
-            hint=f"realsim log {path} --model robot.xml --out case; or realsim diagnose {path} --model robot.xml",
+            hint=f"{beside}realsim log {path} --model robot.xml --out case makes one",
         )
 
 
@@ -207,6 +213,18 @@ def from_recording(recording: Path, model: Path, case: Path, overwrite: bool = F
     for said in logs.write_case(proposal, target, case, overwrite=overwrite, check=gap.load_case):
         note(said)
     return case
+
+
+@contextmanager
+def case_for_now(recording: Path, model: Path) -> Iterator[Path]:
+    """The case of a recording, for as long as it is needed; errors about its files name the recording."""
+    with TemporaryDirectory() as temporary:
+        try:
+            yield from_recording(recording, model, Path(temporary) / recording.stem)
+        except RealsimError as error:
+            if error.file is not None and Path(error.file).is_relative_to(temporary):
+                error.file = str(recording)
+            raise
 
 
 def _summary(result: Mapping[str, Any], out: Path, config: DiagnoseConfig) -> str:

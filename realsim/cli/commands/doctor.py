@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Annotated
 
 import tyro
@@ -37,13 +37,12 @@ def doctor(
         overwrite: replace an output folder that realsim wrote before.
         strict: exit with code 3 if the policy's contract is broken or the gap stays unexplained.
     """
-    from realsim.cli.commands.diagnose import from_recording, refuse_recording
+    from realsim.cli.commands.diagnose import case_for_now, refuse_recording
     from realsim.gap.doctor import run_doctor
 
     if model is None:
-        refuse_recording(log)
-    with TemporaryDirectory() as temporary, steps() as tick:
-        case = log if model is None else from_recording(log, model, Path(temporary) / log.stem)
+        refuse_recording(log, has_model=True)
+    with nullcontext(log) if model is None else case_for_now(log, model) as case, steps() as tick:
         found = run_doctor(
             case, out, tick, policy=policy, deploy_yaml=deploy_yaml, scene=scene, config=config, overwrite=overwrite
         )

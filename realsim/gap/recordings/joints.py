@@ -20,6 +20,8 @@ from realsim.gap.recordings.signals import at, smooth_derivatives
 
 TICKS = 4096
 """Steps a turn of hobby servos' encoders (Dynamixel X, Feetech STS)."""
+HINGE = 3
+"""mjJNT_HINGE."""
 MARGIN = 0.05
 """rad or m beyond its range at which a joint may still be read."""
 SURELY = 0.99
@@ -75,7 +77,9 @@ def position(e: Evidence) -> None:
         doubtful = True
         why += "; in turns they may be, too: give the unit in the column's name, q1 [rad]"
     signs, turned = _signs(ranges, names, values)
-    evidence = [f"by {source.why}", how, why, *turned, _within(ranges, names, values * signs)]
+    narrow = _narrow(e.target)
+    doubtful = doubtful or bool(narrow)
+    evidence = [f"by {source.why}", how, why, *turned, _within(ranges, names, values * signs), narrow]
     if _share_within(ranges, values * signs) < IN_RANGE:
         doubtful = True
         evidence.append("most samples are outside the ranges of the model's joints: another unit, zero or model?")
@@ -263,7 +267,19 @@ def _signs(ranges: F64, names: Sequence[str], values: F64) -> tuple[F64, list[st
 def _within(ranges: F64, names: Sequence[str], values: F64) -> str:
     """The joint that lies most outside its range."""
     share, k = min((_share_within(ranges[[k]], values[:, [k]]), k) for k in range(len(names)))
-    return f"{names[k]} is outside its range in {1 - share:.0%} of the samples" if share < 0.9 else ""
+    if share >= 0.9:
+        return ""
+    return f"{names[k]} is outside its range in {1 - share:.0%} of the samples"
+
+
+def _narrow(target: Target) -> str:
+    """Ranges in radians that were read as degrees, MJCF's default: no robot turns all joints by less than 13 deg."""
+    hinges = [r for n, r in zip(target.joints, target.ranges, strict=True) if target.model.joint(n).type[0] == HINGE]
+    widths = [float(np.ptp(r)) for r in hinges if np.isfinite(r).all()]
+    if not widths or max(widths) >= np.radians(4 * np.pi):
+        return ""
+    most = np.degrees(max(widths))
+    return f'the model\'s joints turn by {most:.1f} deg at most: is <compiler angle="radian"/> missing in it?'
 
 
 # ---------------------------------------------------------------- velocities and torques

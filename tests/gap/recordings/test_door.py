@@ -149,6 +149,23 @@ def test_tables_of_other_programs(arm: Log, tmp_path: Path) -> None:
     check(tmp_path / "day.csv", tmp_path, arm)
 
 
+def test_a_chinese_table_from_a_spreadsheet(arm: Log, tmp_path: Path) -> None:
+    """In GBK, as spreadsheets on Chinese Windows write; the names tell the roles as in UTF-8."""
+    head = "时间戳(ms),肩_目标角度(度),肘_目标角度(度),肩_实际角度(度),肘_实际角度(度)"
+    path = write(tmp_path / "表.csv", head, 1e3 * arm.time, DEG * arm.command, DEG * arm.pos)
+    path.write_bytes(path.read_text("utf-8").encode("gbk"))
+    check(path, tmp_path, arm)
+
+
+def test_ranges_that_are_degrees_by_mistake_are_named(arm: Log, tmp_path: Path) -> None:
+    """`range="-2 2.5"` without <compiler angle="radian"/> is 0.08 rad; radians then look like degrees."""
+    model = save(tmp_path, ARM.replace('<compiler angle="radian"/>', ""))
+    path = write(tmp_path / "a.csv", "t,q1_des,q2_des,q1,q2", arm.time, arm.command, arm.pos)
+    found = propose(read(path), load_target(model))
+    assert 'angle="radian"' in found.render()
+    assert found.assignments["joint_pos"].doubtful
+
+
 def test_units_of_commands_of_their_own(arm: Log, tmp_path: Path) -> None:
     for head in ("t,q1_des,q2_des,q1,q2", "t,q1_des [deg],q2_des [deg],q1 [rad],q2 [rad]"):
         check(write(tmp_path / "a.csv", head, arm.time, DEG * arm.command, arm.pos), tmp_path, arm)
