@@ -148,12 +148,16 @@ def show(desk: Desk) -> None:
 def _opening(desk: Desk, refreshed: Callable[[], None]) -> None:
     from nicegui import events, ui
 
+    complaints: list[Any] = []
+
     async def opened(text: str) -> None:
+        while complaints:  # of what was opened before: it would lie over the page
+            complaints.pop().dismiss()
         note = ui.notification("looking", spinner=True, timeout=None)
         try:
             await desk.open(text or ".")
         except RealsimError as error:
-            _complain(error)
+            complaints.append(_complain(error))
         finally:
             note.dismiss()
         refreshed()
@@ -435,10 +439,10 @@ def _failure(result: dict[str, Any]) -> None:
             ui.html(f"<pre>{word:<9} {escape(str(result[key]))}</pre>", sanitize=False)
 
 
-def _complain(error: RealsimError) -> None:
+def _complain(error: RealsimError) -> Any:
     from nicegui import ui
 
-    ui.notify(error.render(), type="negative", multi_line=True, close_button="Close", timeout=0)
+    return ui.notification(error.render(), type="negative", multi_line=True, close_button="Close", timeout=None)
 
 
 def _title(text: str) -> None:

@@ -101,3 +101,6 @@ def test_a_wrong_path_says_what_is_wrong(browser: Any, address: str) -> None:
     page.get_by_label("path below the folder").fill("../../etc")
     page.get_by_role("button", name="Open").click()
     page.get_by_text("leads out of the folders").wait_for()
+    page.get_by_label("path below the folder").fill("step.stl")
+    page.get_by_role("button", name="Open").click()
+    page.get_by_text("leads out of the folders").wait_for(state="hidden", timeout=60_000)
