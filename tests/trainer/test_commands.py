@@ -120,6 +120,20 @@ def failure(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, st
     return json.loads(capsys.readouterr().out)
 
 
+def test_a_run_that_was_interrupted_before_its_first_checkpoint_leaves_nothing(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object) -> None:
+        (tmp_path / "run" / "history.jsonl").write_text("")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("trainer.commands.finetune.find", lambda _: interrupted)
+    policy = str(folder / "base" / "policy.pt")
+    out = tmp_path / "run"
+    assert main(["finetune", "flat", "--policy", policy, "--out", str(out), "--final-trials", "0", *SMALL]) == 130
+    assert not out.exists()
+
+
 def test_a_policy_of_another_layout_or_robot_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     policy = str(folder / "base" / "policy.pt")
     said = failure(capsys, "finetune", "flat", "--policy", policy, "--final-trials", "0", *SMALL)

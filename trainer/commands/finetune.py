@@ -120,9 +120,10 @@ def finetune(
         config = steadied(replace(config, task=task))
     try:
         result = train(lands, policy, config, out)
-    except RealsimError:
+    except (RealsimError, KeyboardInterrupt):
         if not (out / "policy.pt").is_file():  # nothing was trained: there is no run to go on with
-            (out / "result.json").unlink(missing_ok=True)
+            for name in ("result.json", "history.jsonl"):
+                (out / name).unlink(missing_ok=True)
             with suppress(OSError):
                 out.rmdir()
         raise
