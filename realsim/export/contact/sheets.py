@@ -49,6 +49,8 @@ BUMPS = 1.5  # tolerances that a patch may stand out of the sheets of others...
 EDGES = 0.2  # ...for it to be an edge or a bump of theirs where more than this share of it does not
 # Of one LiDAR room whose triangles are 5.8 cm wide: 2,434 sheets for 12,817, 97.6 for 99.7 % of the rays from the side.
 # With EDGES of 0.5, 95.4 %; without WIDE, 2,995 sheets; without RIMS, 3,415; WIDE of 100, 2,113 sheets and 95.9 %.
+# Of that room 8.1 % of the heights are off by 2 cm then, for 3.0. Two captures on which nothing was set keep their
+# side rays (98.9 to 99.8 %, 98.3 to 98.2), with heights off 9.1 to 7.6 % and 2.1 to 2.6.
 PLANES, RIMS = 8, 4  # parts of a triangle's width by which planes, and outlines in them, are known no better
 WIDE = 30  # samples of a patch: what makes no such patch is clutter, whose planes may be...
 COARSE = 2.0  # ...this many tolerances off

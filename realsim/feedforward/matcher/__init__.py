@@ -104,7 +104,7 @@ def match(a: Keypoints, b: Keypoints) -> NDArray[np.int64]:
 
 
 def release() -> None:
-    """Give back what the networks hold; they are loaded again where they are asked again."""
+    """Release the networks' memory; the next match loads them again."""
     _sessions.cache_clear()
 
 

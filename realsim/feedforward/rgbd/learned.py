@@ -143,7 +143,7 @@ def _match(
 ) -> Match | None:
     """What the matcher says of a pair, if one motion explains enough of it and the depth images agree.
 
-    `shown`, the views with their keypoints, and `keypoints` are filled as views are looked at.
+    `shown`, the views with their keypoints, and `keypoints` are filled view by view.
     """
     for k in {i, j} - keypoints.keys():
         shown[k], keypoints[k] = _look(views[k])
