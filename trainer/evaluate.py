@@ -131,7 +131,6 @@ def trial_config(task: ParkourConfig, config: EvaluationConfig) -> ParkourConfig
         task,
         randomisation=random,
         reset=replace(task.reset, spread_ages=False, along=0.0, by_failure=0.0),
-        floor=replace(task.floor, share=0.0),
         amp=False,
     )
     if config.randomise:

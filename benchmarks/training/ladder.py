@@ -1,4 +1,5 @@
-"""Help on courses that the base hardly crosses: wider tops against a raised floor and none, in equal minutes.
+"""Help on courses that the base hardly crosses: wider tops against none, in equal minutes. Stored rows of a raised
+floor (`floor`) are of commit 81b7fc12 and before, which had one.
 
     python benchmarks/training/ladder.py --course beams:1 --method ladder --minutes 5
     python benchmarks/training/ladder.py table
@@ -22,7 +23,6 @@ import tyro
 
 from benchmarks.store import Store
 from benchmarks.training.base_policy import fingerprint
-from benchmarks.training.ttt import raised
 from trainer.commands.common import find_scene, load_policy
 from trainer.commands.common import setting as setting_of
 from trainer.commands.task_file import load_task
@@ -45,7 +45,7 @@ class Options:
     files: Annotated[tuple[Path, ...], tyro.conf.Positional] = ()
     """Rows to merge."""
     course: str = "beams:1"
-    method: Literal["ladder", "floor", "plain"] = "ladder"
+    method: Literal["ladder", "plain"] = "ladder"
     minutes: float = 5.0
     seed: int = 0
     shared: int = 1
@@ -79,8 +79,6 @@ def measured(options: Options) -> dict[str, Any]:
     lands = scene
     if options.method == "ladder":
         lands, task = helped(scene, task)
-    elif options.method == "floor":
-        task = raised(task)
     loop = LoopConfig(iterations=100_000, minutes=options.minutes, checkpoint_every=400, tensorboard=False)
     config = TrainConfig(worlds=options.worlds, device=options.device, seed=options.seed, task=task, loop=loop)
     config = steadied(config) if options.method == "ladder" else config

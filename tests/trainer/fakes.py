@@ -79,7 +79,7 @@ class FakePhysics:
             self.motion(self)
         return self.state
 
-    def reset(self, ids, base_pos, base_quat, joint_pos, terrain_ids, floor_z=None):
+    def reset(self, ids, base_pos, base_quat, joint_pos, terrain_ids):
         s = self.state
         s.base_pos[ids], s.base_quat[ids], s.joint_pos[ids] = base_pos, base_quat, joint_pos
         s.torso_pos[ids], s.camera_pos[ids] = base_pos, base_pos
@@ -94,7 +94,6 @@ class FakePhysics:
         for name in ("ground_contact", "other_contact", "diverged"):
             getattr(s, name).index_fill_(0, ids, False)
         self.terrain_ids[ids] = terrain_ids
-        self.floor_z = floor_z
 
     def set_velocity(self, ids, base_lin_vel, base_ang_vel):
         self.pushed.append((ids, base_lin_vel))

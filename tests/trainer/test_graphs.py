@@ -17,7 +17,6 @@ from trainer.tasks.parkour import ParkourConfig, ParkourEnv
 from trainer.tasks.parkour.config import (
     CommandConfig,
     DepthConfig,
-    FloorConfig,
     ObservationConfig,
     RandomisationConfig,
     ResetConfig,
@@ -33,7 +32,6 @@ EVERYTHING = ParkourConfig(
     depth=DepthConfig(frames=2, stride=2),
     termination=TerminationConfig(seconds=0.3),
     reset=ResetConfig(along=0.5),
-    floor=FloorConfig(share=0.5, seconds=3.0),
     randomisation=RandomisationConfig(delay=(0.0, 0.1), push_seconds=0.08),
     amp=True,
     log_every=7,
@@ -78,7 +76,7 @@ def actions(steps):
 def state_of(thing, name="env", seen=None):
     """(path, tensor) of all tensors that an object of ours reaches."""
     seen = set() if seen is None else seen
-    if id(thing) in seen or name.endswith((".ends", ".physics.targets", ".params", ".pushed", ".floor_z")):
+    if id(thing) in seen or name.endswith((".ends", ".physics.targets", ".params", ".pushed")):
         return
     seen.add(id(thing))
     if isinstance(thing, torch.Tensor):

@@ -58,6 +58,6 @@ def test_fine_tuning_goes_on_in_the_task_of_the_base(robot: str) -> None:
     task, trained = load_task(TASKS[robot]), load_task(TRAINING / robot / "task.json")
     pushes = {name: getattr(task.randomisation, name) for name in ("push", "push_seconds")}
     random = replace(trained.randomisation, **pushes)
-    assert task == replace(trained, floor=task.floor, reset=task.reset, randomisation=random)
+    assert task == replace(trained, reset=task.reset, randomisation=random)
     assert task.self_collision
     assert not ParkourConfig().self_collision

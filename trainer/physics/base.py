@@ -201,12 +201,8 @@ class Physics(Protocol):
         base_quat: Tensor,
         joint_pos: Tensor,
         terrain_ids: Tensor,
-        floor_z: Tensor | None = None,
     ) -> None:
-        """Put the worlds `ids` (K,) at rest in the given pose (K, 3), (K, 4), (K, J) on terrains (K,).
-
-        `floor_z` (K,) is the height in metres at which the ground collides; that of the terrain if left out.
-        """
+        """Put the worlds `ids` (K,) at rest in the given pose (K, 3), (K, 4), (K, J) on terrains (K,)."""
 
     def set_velocity(self, ids: Tensor, base_lin_vel: Tensor, base_ang_vel: Tensor) -> None:
         """Overwrite base velocities (K, 3) world axes and (K, 3) base axes: pushes."""

@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trainer.physics.base import WorldParams
-from trainer.physics.world import GROUND
 from trainer.robots import TrainedRobot
 
 Edit = dict[str, NDArray[np.float64]]
-"""Field of `WorldParams`, or `floor_z`, -> this world's value; what is left alone is absent."""
+"""Field of `WorldParams` -> this world's value; what is left alone is absent."""
 
 
 def rows(params: WorldParams) -> list[Edit]:
@@ -54,8 +53,6 @@ def apply(model: Any, nominal: Any, robot: TrainedRobot, edit: Edit, data: Any) 
     model.actuator_biasprm[:, 2] = nominal.actuator_biasprm[:, 2] * scale("kd_scale")
     model.dof_armature[6:] = nominal.dof_armature[6:] * scale("armature_scale")
     model.dof_frictionloss[6:] = edit.get("joint_friction", nominal.dof_frictionloss[6:])
-    ground = model.geom(GROUND).id
-    model.geom_pos[ground, 2] = edit.get("floor_z", nominal.geom_pos[ground, 2])
     mujoco.mj_setConst(model, data)
 
 

@@ -97,7 +97,6 @@ class MujocoPhysics:
         base_quat: Tensor,
         joint_pos: Tensor,
         terrain_ids: Tensor,
-        floor_z: Tensor | None = None,
     ) -> None:
         """See `Physics.reset`."""
         worlds = ids.cpu().numpy()
@@ -107,7 +106,6 @@ class MujocoPhysics:
         self._targets[worlds] = joint_pos.cpu().numpy()
         self._release(worlds)
         self._terrain[worlds] = terrain_ids.cpu().numpy()
-        self._move_floor(worlds, floor_z)
         self._write(worlds)
         for tensor in (self.state.joint_acc, self.state.joint_torque, self.state.foot_force):
             tensor[ids] = 0.0
@@ -128,14 +126,6 @@ class MujocoPhysics:
             if "delay_steps" in edit:
                 self._delay[world] = int(edit.pop("delay_steps"))
             self._edits[world] |= edit
-
-    def _move_floor(self, worlds: NDArray[np.int_], floor_z: Tensor | None) -> None:
-        heights = [None] * len(worlds) if floor_z is None else floor_z.tolist()
-        for world, height in zip(worlds, heights, strict=True):
-            if height is None or abs(height - self.terrains[self._terrain[world]].floor_z) < 1e-6:
-                self._edits[world].pop("floor_z", None)
-            else:
-                self._edits[world]["floor_z"] = np.float64(height)
 
     def _rollout(self, control: F64) -> tuple[F64, F64]:
         """All worlds over one policy step, worlds with models of the same size together (they share the data)."""

@@ -78,7 +78,6 @@ class WarpPhysics:
         base_quat: Tensor,
         joint_pos: Tensor,
         terrain_ids: Tensor,
-        floor_z: Tensor | None = None,
     ) -> None:
         """See `Physics.reset`."""
         ids, terrain_ids = ids.to(self.device), terrain_ids.to(self.device)
@@ -88,8 +87,6 @@ class WarpPhysics:
         for tensor in (self._qvel, self._sound_qvel, self._warmstart, *self._zeroed_at_reset):
             tensor.index_fill_(0, ids, 0)  # an assignment would copy the zero from the host
         self._move_terrain(ids, terrain_ids)
-        if floor_z is not None:
-            self._geoms["geom_xpos"][ids, self._ground_geom, 2] = floor_z.to(self.device)
         self._launch(self._refresh_graph, self._refresh)
 
     def set_velocity(self, ids: Tensor, base_lin_vel: Tensor, base_ang_vel: Tensor) -> None:
@@ -156,7 +153,6 @@ class WarpPhysics:
         self._overflow_counter = torch.zeros(2, dtype=torch.int32, device=self.device)
         self._fields = WorldFields(model, self._host, self.robot, self.device)
         self._static = StaticGeoms.of(self._host, self.terrains, self.device)
-        self._ground_geom = self._host.geom(GROUND).id
         self._geoms = {name: wp.to_torch(getattr(data, name)) for name in ("geom_xpos", "geom_xmat")}
         self._geoms |= {name: wp.to_torch(getattr(model, name)) for name in TERRAIN_FIELDS}
         self._kind = wp.array(_kinds(self._host, self.robot), dtype=int)

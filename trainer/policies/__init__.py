@@ -15,7 +15,7 @@ TASKS = {
     "quadruped": FOLDER / "quadruped_task.json",
 }
 """Robot -> what differs from the paper's task where its base is fine-tuned. It is the task that the base was trained in
-last, without a beginner's help (raised floor, starts along the course); G1 is pushed less hard, and as often."""
+last, without a beginner's help (starts along the course); G1 is pushed less hard, and as often."""
 
 
 def base_of(robot: str) -> Path:

@@ -187,27 +187,6 @@ class ResetConfig:
 
 
 @dataclass(frozen=True)
-class FloorConfig:
-    """A floor that is raised under the course at first: touching it costs and does not end the episode, so that a
-    policy can learn to aim before it can cross (BeamDojo, Wang et al. 2025, first stage). Camera and rewards see the
-    real floor. An episode in which it was touched is no success and moves no world up."""
-
-    share: float = 0.0
-    """Share of episodes on a raised floor, where the ground is a failure; 0 is off."""
-    top: float = 0.06
-    """Metres below the start platform at which the floor lies at first."""
-    difficulty: float = 1.0
-    """Difficulty of generated terrain at which it reaches the real floor; it sinks linearly. 0 ignores difficulty."""
-    seconds: float = 0.0
-    """Simulated seconds of training after which it has sunk to the real floor everywhere; 0 ignores time."""
-
-    def __post_init__(self) -> None:
-        _check(self, least=dict.fromkeys(("share", "top", "difficulty", "seconds"), 0), most={"share": 1})
-        if self.share and not (self.difficulty or self.seconds):
-            raise TrainerError("the raised floor must sink with difficulty or time", expected="either above 0")
-
-
-@dataclass(frozen=True)
 class RandomisationConfig:
     """Domain randomisation, drawn at each reset. A diagnosis replaces ranges by what it identified."""
 
@@ -271,7 +250,6 @@ class ParkourConfig:
     termination: TerminationConfig = field(default_factory=TerminationConfig)
     reward: RewardConfig = field(default_factory=RewardConfig)
     reset: ResetConfig = field(default_factory=ResetConfig)
-    floor: FloorConfig = field(default_factory=FloorConfig)
     randomisation: RandomisationConfig = field(default_factory=RandomisationConfig)
     self_collision: bool = False
     """Whether the robot's links collide with each other; feet that touch each other then cost nothing, all else is an

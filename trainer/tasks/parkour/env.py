@@ -23,7 +23,6 @@ from trainer.tasks.parkour.config import ParkourConfig
 from trainer.tasks.parkour.curriculum import Curriculum
 from trainer.tasks.parkour.depth import DepthCamera, DepthWindow
 from trainer.tasks.parkour.draw import Dice, randint
-from trainer.tasks.parkour.floor import RaisedFloor
 from trainer.tasks.parkour.footholds import FootholdProbe
 from trainer.tasks.parkour.observations import Proprioception, critic_view, layout
 from trainer.tasks.parkour.randomise import Known, Line, Randomiser
@@ -132,7 +131,6 @@ class ParkourEnv:
         self.transitions = Transitions(worlds, self.num_actions, len(robot.feet), device) if config.amp else None
         self.phase = PhaseClock(worlds, len(robot.feet), physics.policy_dt, device)
         self.tally = Tally(self.rewards.names, [t.family for t in physics.terrains], worlds, device)
-        self.floor = RaisedFloor(config.floor, physics.terrains, worlds, device)
         self.stances = self._stances(caster, seed) if config.reset.along > 0 else None
         self.scan = None
         if config.observation.scan and self.images is not None:
@@ -260,10 +258,9 @@ class ParkourEnv:
         self.last_action.copy_(self._actions)
         amp = None if self.transitions is None else self.transitions.advance(signals, self.body)
         covered = self.course.covered(state.base_pos[:, :2].nan_to_num(), self.terrain_ids)
-        # What counts as a trial: from the start platform, in full time, without help from a raised floor.
+        # What counts as a trial: from the start platform, in full time.
         no_trial = (self.shortened & (outcome == TIMEOUT)) | (self.elsewhere & (outcome > DIVERGED))
-        helped = self.floor.touched & (outcome == SUCCESS)
-        trial = outcome.masked_fill(helped, TIMEOUT).masked_fill(no_trial, RUNNING)
+        trial = outcome.masked_fill(no_trial, RUNNING)
         waiting = (signals.command.speed > WALKING) & (signals.heading_vel[:, 0] < SLOW)
         self.tally.add(terms, trial, covered, self.age * self.policy_dt, self.terrain_ids, waiting)
         self.curriculum.count(trial > DIVERGED, trial == SUCCESS)
@@ -294,9 +291,7 @@ class ParkourEnv:
         contact = state.foot_force > self.config.reward.contact_force
         phase = self.phase.advance(contact)
         footholds = self.probe(state, self.terrain_ids)
-        signals = derive(state, self.command(state), footholds, contact, phase, self._actions, self.last_action)
-        signals.floor_touched = self.floor.touch(state.ground_contact)
-        return signals
+        return derive(state, self.command(state), footholds, contact, phase, self._actions, self.last_action)
 
     def _judge(self, s: Signals) -> Tensor:
         dt, near = self.policy_dt, self.config.termination.stuck_radius
@@ -305,8 +300,8 @@ class ParkourEnv:
         self.at_start.add_(dt).mul_(nearby)
         arrived = self.course.on_goal(here, s.state.foot_pos[..., :2], self.terrain_ids)
         self.on_goal.add_(dt).mul_(arrived)
-        fails = self.course.ground_fails[self.terrain_ids] & ~self.floor.raised
-        clocks = Clocks(self.at_start, self.on_goal, fails, self.floor.height, self.command.limit > 0)
+        fails, floor = (of_terrain[self.terrain_ids] for of_terrain in (self.course.ground_fails, self.course.floor_z))
+        clocks = Clocks(self.at_start, self.on_goal, fails, floor, self.command.limit > 0)
         return judge(s, clocks, self.age, self.max_steps, self.body, self.config.termination)
 
     def _observe(self, s: Signals) -> Observation:
@@ -328,9 +323,7 @@ class ParkourEnv:
         position, quaternion, joints, self.elsewhere[ids] = poses(
             terrain, self.course, self.body, self.config.reset, self.generator, self.stances
         )
-        floor = self.floor.reset(ids, terrain, self.clock.double() * self.policy_dt, self.generator)
-        own = floor if self.config.floor.share > 0 else None
-        self.physics.reset(ids, position, quaternion, joints, terrain, own)
+        self.physics.reset(ids, position, quaternion, joints, terrain)
         if self.line is not None and drawn is not None:
             self.line.reset(ids, joints, drawn.late)
         self.command.reset(ids, self.course.goal[terrain, :2], self.generator)
@@ -383,7 +376,7 @@ class ParkourEnv:
         state = self.physics.state
         points, _ = sole_points(state, self.body)
         soles = points[0] - state.base_pos[0] * torch.tensor([1.0, 1.0, 0.0], device=self.device)
-        return Stances.find(self.course, soles, caster, self.floor.real, seed)
+        return Stances.find(self.course, soles, caster, seed)
 
     def _eyes(self, caster: RayCaster) -> tuple[DepthCamera | None, DepthWindow | None]:
         mount, config = self.physics.robot.camera, self.config.depth

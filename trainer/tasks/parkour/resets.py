@@ -43,6 +43,8 @@ class Course:
     """(T,) m between the centres, on the level."""
     ground_fails: Tensor
     """(T,) bool."""
+    floor_z: Tensor
+    """(T,) m, where the ground collides."""
 
     @staticmethod
     def of(terrains: Sequence[Terrain], device: torch.device) -> Course:
@@ -62,6 +64,7 @@ class Course:
             yaw=floats(np.arctan2(away[:, 1], away[:, 0])),
             length=floats(np.linalg.norm(away, axis=1)),
             ground_fails=torch.tensor([t.ground_fails for t in terrains], device=device),
+            floor_z=floats(np.array([t.floor_z for t in terrains])),
         )
 
     def covered(self, xy: Tensor, terrain_ids: Tensor) -> Tensor:
@@ -90,12 +93,11 @@ class Stances:
     """(T,)."""
 
     @staticmethod
-    def find(course: Course, soles: Tensor, caster: RayCaster, floor_z: Tensor, seed: int, tries: int = 128) -> Stances:
+    def find(course: Course, soles: Tensor, caster: RayCaster, seed: int, tries: int = 128) -> Stances:
         """Try random places on every course.
 
         Args:
             soles: (F, P, 3) m, points on the soles of a robot in its default pose at the origin, facing x.
-            floor_z: (T,) m, the real floor.
         """
         device, terrains = soles.device, len(course.start)
         generator = torch.Generator(device).manual_seed(seed)
@@ -115,7 +117,7 @@ class Stances:
         highest = z.amax(-1)
         level = (highest - z.amin(-1)).amax(-1) < _UNEVEN
         together = highest.amax(-1) - highest.amin(-1) < _STEP
-        off_floor = highest.amin(-1) > floor_z[:, None] + _STEP
+        off_floor = highest.amin(-1) > course.floor_z[:, None] + _STEP
         good = level & together & off_floor
         order = good.int().argsort(dim=1, descending=True, stable=True)
         pose = torch.cat([xy, highest.amax(-1)[..., None], yaw[..., None]], -1)

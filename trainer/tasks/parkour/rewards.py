@@ -45,10 +45,8 @@ WEIGHTS = {
     "velocity_limits": -1.0,
     "torque_limits": -0.01,
     "undesired_contact": -1.0,
-    "floor_contact": -2.0,
 }
-"""The paper's weights (appendix, table of reward terms), but for the last, which only a raised floor has. The AMP term,
-0.25, is the learner's."""
+"""The paper's weights (appendix, table of reward terms). The AMP term, 0.25, is the learner's."""
 
 TERMS = Registry("reward term", {name: f"{__name__}:{name}" for name in WEIGHTS})
 
@@ -240,8 +238,3 @@ def torque_limits(s: Signals, body: Body, c: RewardConfig) -> Tensor:
 def undesired_contact(s: Signals, body: Body, c: RewardConfig) -> Tensor:
     """1 while anything but a foot touches the terrain."""
     return s.state.other_contact.float()
-
-
-def floor_contact(s: Signals, body: Body, c: RewardConfig) -> Tensor:
-    """1 while anything touches a raised floor (not in the paper; `FloorConfig`)."""
-    return torch.zeros_like(s.command.yaw_rate) if s.floor_touched is None else s.floor_touched.float()

@@ -89,8 +89,6 @@ class Signals:
     """(N, J) of the step before."""
     command: Command
     footholds: Footholds
-    floor_touched: Tensor | None = None
-    """(N,) bool: something touched a raised floor (`FloorConfig`)."""
 
 
 def derive(
