@@ -1,4 +1,7 @@
-"""Damage to files and folders as disks, transfers, editors and attackers do it; everything by a seed."""
+"""Damage to files and folders as disks, transfers, editors and attackers do it; everything by a seed.
+
+A damage is a name, what it does to a file, and what it applies to: BYTES and FILES to any file, CONTENT by suffix.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ import os
 import re
 import shutil
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -17,13 +20,20 @@ from xml.etree import ElementTree
 import numpy as np
 
 Rng = np.random.Generator
+Damage = Callable[[Path, Rng], Any]
 TEXT = (".json", ".txt", ".csv", ".tsv", ".log", ".xml", ".yaml", ".yml", ".traj", ".pincam", ".jsonl", ".obj", ".off")
+SMALL = (".json", ".txt", ".xml", ".yaml", ".csv", ".log", ".traj")
+BINARY = (".ply", ".stl", ".glb", ".pcd", ".las", ".bin")
 ODD_NUMBERS = ("nan", "inf", "-inf", "1e400", "-1", "0", "1e-320", "9" * 400, "0x10", "1,5", "", "abc", "\x1b[31mred")
 ODD_VALUES: tuple[Any, ...] = (
     math.nan, math.inf, -1, 0, 1e308, 10**400, 0.5, "", "text", "\x1b]0;title\x07", None, True, [], {}, [[]], [None],
     ["a", "a"], {"a": {"a": {}}}, "../../etc/passwd", "/etc/passwd",
 )  # fmt: skip
+ODD_ATTRIBUTES = ("nan", "inf", "0", "-1", "1e-9", "1e30", "", "0 0", "abc", "../../x", "/etc/passwd", "1 " * 500)
 NAMES = ("\x1b[31mEVIL", "a\x07b", "\x9b31m", "\u202egnp.exe", "new\nline", "'\"<svg>", " ", "\udcff")
+BOMB = "\n".join(["a0: &a0 [x]", *(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 9))]) + "\n"
+"""YAML whose aliases grow by ten a line."""
+ODD_YAML = (BOMB, "[" * 5000, "!!python/object/apply:os.system [ls]\n", "? [1, 2]\n: 3\n", "&a [*a]\n")
 
 NO_STRUCTURE = (OSError, ValueError, LookupError, zipfile.BadZipFile, ElementTree.ParseError, RecursionError)
 """What changing the content of a file raises that was damaged before."""
@@ -37,170 +47,148 @@ def damage(folder: Path, rng: Rng) -> str:
         if not files:
             break
         # Half of the time one of the few files that say something of all others.
-        small = [p for p in files if p.suffix in (".json", ".txt", ".xml", ".yaml", ".csv", ".log", ".traj")]
-        among = small if small and rng.random() < 0.5 else files
-        path = among[int(rng.integers(len(among)))]
-        kinds = [*ANY, *(DAMAGE_OF.get(path.suffix, ()) or (TEXTUAL if path.suffix in TEXT else ()))]
-        kinds += [k for k in kinds if k not in ANY] * 2  # what a format's own parser meets, more often
-        kind = kinds[int(rng.integers(len(kinds)))]
+        small = [p for p in files if p.suffix in SMALL]
+        path = pick(small if small and rng.random() < 0.5 else files, rng)
+        content = [name for name, _, suffixes in CONTENT for s in suffixes if s == path.suffix]
+        content += [] if content or path.suffix not in TEXT else TEXTUAL
+        parsed = [name for name in content if name not in ANY]
+        name = pick([*ANY, *content, *parsed, *parsed], rng)  # what a format's own parser meets, more often
         try:
-            kind(path, rng)
+            DAMAGES[name](path, rng)
         except NO_STRUCTURE:
-            BYTES[int(rng.integers(len(BYTES)))](path, rng)  # damaged before: no structure is left to change
-        done.append(f"{kind.__name__} {re.sub('[0-9]+', '#', path.relative_to(folder).as_posix())}")
+            pick([*BYTES.values()], rng)(path, rng)  # damaged before: no structure is left to change
+        done.append(f"{name} {re.sub('[0-9]+', '#', path.relative_to(folder).as_posix())}")
     return ", ".join(done)
+
+
+def pick(among: Sequence[Any], rng: Rng) -> Any:
+    return among[int(rng.integers(len(among)))]
 
 
 # ---------------------------------------------------------------- bytes
 
 
-def flip_bits(path: Path, rng: Rng) -> None:
-    data = bytearray(path.read_bytes())
+def of_bytes(change: Callable[[bytes, Rng], bytes]) -> Damage:
+    """A damage to a file from one to its bytes."""
+    return lambda path, rng: path.write_bytes(change(path.read_bytes(), rng))
+
+
+def of_text(change: Callable[[str, Rng], str]) -> Damage:
+    """A damage to a file from one to its text."""
+    return of_bytes(lambda data, rng: change(data.decode("utf-8", "surrogateescape"), rng).encode(
+        "utf-8", "surrogateescape"))  # fmt: skip
+
+
+def put(data: bytes, at: int, new: bytes) -> bytes:
+    return data[:at] + new + data[at + len(new) :]
+
+
+def flip_bits(data: bytes, rng: Rng) -> bytes:
     for at in rng.integers(0, max(len(data), 1), int(rng.choice((1, 4, 32)))) if data else ():
-        data[at] ^= 1 << int(rng.integers(8))
-    path.write_bytes(data)
+        data = put(data, at, bytes([data[at] ^ 1 << int(rng.integers(8))]))
+    return data
 
 
-def flip_early(path: Path, rng: Rng) -> None:
+def flip_early(data: bytes, rng: Rng) -> bytes:
     """In the first 256 bytes, where headers are."""
-    data = bytearray(path.read_bytes())
     for at in rng.integers(0, max(min(len(data), 256), 1), 3) if data else ():
-        data[at] = int(rng.integers(256))
-    path.write_bytes(data)
+        data = put(data, at, bytes([int(rng.integers(256))]))
+    return data
 
 
-def huge_header(path: Path, rng: Rng) -> None:
+def huge_header(data: bytes, rng: Rng) -> bytes:
     """A length near the beginning becomes the largest that there is."""
-    data = bytearray(path.read_bytes())
-    at = int(rng.integers(0, max(min(len(data) - 4, 200), 1)))
-    data[at : at + 4] = b"\xff\xff\xff\x7f"
-    path.write_bytes(data)
+    return put(data, int(rng.integers(0, max(min(len(data) - 4, 200), 1))), b"\xff\xff\xff\x7f")
 
 
-def cut_off(path: Path, rng: Rng) -> None:
-    os.truncate(path, int(path.stat().st_size * rng.random()))
-
-
-def zero_block(path: Path, rng: Rng) -> None:
-    data = bytearray(path.read_bytes())
+def zero_block(data: bytes, rng: Rng) -> bytes:
     at = int(rng.integers(0, max(len(data), 1)))
-    data[at : at + 512] = bytes(len(data[at : at + 512]))
-    path.write_bytes(data)
+    return put(data, at, bytes(len(data[at : at + 512])))
 
 
-def append(path: Path, rng: Rng) -> None:
-    with path.open("ab") as file:
-        file.write(rng.bytes(int(rng.choice((1, 100, 5000)))))
-
-
-def shifted(path: Path, rng: Rng) -> None:
+def shifted(data: bytes, rng: Rng) -> bytes:
     """A byte more or less in the middle: all that follows is off by one."""
-    data = path.read_bytes()
     at = int(rng.integers(len(data) + 1))
-    path.write_bytes(data[:at] + (rng.bytes(1) + data[at:] if rng.random() < 0.5 else data[at + 1 :]))
+    return data[:at] + (rng.bytes(1) + data[at:] if rng.random() < 0.5 else data[at + 1 :])
 
 
-def doubled(path: Path, rng: Rng) -> None:
+def doubled(data: bytes, rng: Rng) -> bytes:
     """A block stands twice, as after a transfer that was taken up again at the wrong place."""
-    data = path.read_bytes()
     at, size = int(rng.integers(len(data) + 1)), int(rng.integers(1, 4096))
-    path.write_bytes(data[: at + size] + data[at : at + size] + data[at + size :])
+    return data[: at + size] + data[at : at + size] + data[at + size :]
 
 
-def no_numbers(path: Path, rng: Rng) -> None:
+def no_numbers(data: bytes, rng: Rng) -> bytes:
     """Some numbers of four or eight bytes become NaN, infinite or enormous."""
-    data = bytearray(path.read_bytes())
     kind = np.dtype(rng.choice(("<f4", "<f8")))
     for at in rng.integers(0, max(len(data) - 8, 1), int(rng.choice((1, 3, 50)))):
         value = np.array(rng.choice((np.nan, np.inf, -np.inf, 1e38, -1e38)), kind).tobytes()
         place = int(at) // 4 * 4 + int(rng.integers(4)) * int(rng.random() < 0.5)  # headers are of any length
-        data[place : place + len(value)] = value
-    path.write_bytes(bytes(data))
+        data = put(data, place, value)
+    return data
 
 
-def emptied(path: Path, rng: Rng) -> None:
-    path.write_bytes(b"")
-
-
-def noise(path: Path, rng: Rng) -> None:
-    path.write_bytes(rng.bytes(2000))
+BYTES: dict[str, Damage] = {
+    "flip_bits": of_bytes(flip_bits),
+    "flip_early": of_bytes(flip_early),
+    "huge_header": of_bytes(huge_header),
+    "cut_off": of_bytes(lambda data, rng: data[: int(len(data) * rng.random())]),
+    "zero_block": of_bytes(zero_block),
+    "append": of_bytes(lambda data, rng: data + rng.bytes(int(rng.choice((1, 100, 5000))))),
+    "emptied": of_bytes(lambda data, rng: b""),
+    "noise": of_bytes(lambda data, rng: rng.bytes(2000)),
+    "shifted": of_bytes(shifted),
+    "doubled": of_bytes(doubled),
+    "no_numbers": of_bytes(no_numbers),
+}
 
 
 # ---------------------------------------------------------------- files
 
 
-def removed(path: Path, rng: Rng) -> None:
-    path.unlink()
-
-
-def renamed(path: Path, rng: Rng) -> None:
-    path.rename(path.with_name(str(rng.choice(NAMES)) + path.name))
-
-
-def renamed_inside(path: Path, rng: Rng) -> None:
-    """The name of a file in the middle of what a manifest or a number would find."""
-    path.rename(path.with_name(path.stem + str(rng.choice(NAMES)) + path.suffix))
-
-
 def swapped(path: Path, rng: Rng) -> None:
-    others = sorted(p for p in path.parent.iterdir() if p.is_file() and p != path)
-    if others:
-        other = others[int(rng.integers(len(others)))]
+    if others := sorted(p for p in path.parent.iterdir() if p.is_file() and p != path):
+        other = pick(others, rng)
         one, two = path.read_bytes(), other.read_bytes()
         path.write_bytes(two)
         other.write_bytes(one)
 
 
-def copied(path: Path, rng: Rng) -> None:
-    shutil.copy(path, path.with_name("copy of " + path.name))
+def instead(make: Damage) -> Damage:
+    """Something else under the name of a file."""
+    return lambda path, rng: (path.unlink(), make(path, rng))
 
 
-def loop(path: Path, rng: Rng) -> None:
-    path.unlink()
-    path.symlink_to(path.name)
-
-
-def loop_of_two(path: Path, rng: Rng) -> None:
-    path.unlink()
-    path.symlink_to(path.name + "2")
-    path.with_name(path.name + "2").symlink_to(path.name)
-
-
-def dangling(path: Path, rng: Rng) -> None:
-    path.unlink()
-    path.symlink_to("/nowhere/at/all")
-
-
-def outside(path: Path, rng: Rng) -> None:
-    path.unlink()
-    path.symlink_to(str(rng.choice(("/etc/passwd", "/proc/self/mem", "/dev/zero", "/dev/null"))))
-
-
-def fifo(path: Path, rng: Rng) -> None:
-    path.unlink()
-    os.mkfifo(path)
-
-
-def folder_instead(path: Path, rng: Rng) -> None:
-    path.unlink()
-    path.mkdir()
+FILES: dict[str, Damage] = {
+    "removed": lambda path, rng: path.unlink(),
+    "renamed": lambda path, rng: path.rename(path.with_name(str(rng.choice(NAMES)) + path.name)),
+    # In the middle of what a manifest or a number would find:
+    "renamed_inside": lambda p, rng: p.rename(p.with_name(p.stem + str(rng.choice(NAMES)) + p.suffix)),
+    "swapped": swapped,
+    "copied": lambda path, rng: shutil.copy(path, path.with_name("copy of " + path.name)),
+    "loop": instead(lambda path, rng: path.symlink_to(path.name)),
+    "loop_of_two": instead(
+        lambda p, rng: (p.symlink_to(p.name + "2"), p.with_name(p.name + "2").symlink_to(p.name))),
+    "dangling": instead(lambda path, rng: path.symlink_to("/nowhere/at/all")),
+    "outside": instead(
+        lambda p, rng: p.symlink_to(str(rng.choice(("/etc/passwd", "/proc/self/mem", "/dev/zero", "/dev/null"))))),
+    "fifo": instead(lambda path, rng: os.mkfifo(path)),
+    "folder_instead": instead(lambda path, rng: path.mkdir()),
+}  # fmt: skip
 
 
 # ---------------------------------------------------------------- what stands in them
 
 
-def text_number(path: Path, rng: Rng) -> None:
+def text_number(text: str, rng: Rng) -> str:
     """One number of a text becomes another, or none."""
-    text = path.read_text("utf-8", "surrogateescape")
-    found = list(re.finditer(r"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?", text))
-    place = found[int(rng.integers(len(found)))]
-    text = text[: place.start()] + str(rng.choice(ODD_NUMBERS)) + text[place.end() :]
-    path.write_text(text, "utf-8", "surrogateescape")
+    place = pick(list(re.finditer(r"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?", text)), rng)
+    return text[: place.start()] + str(rng.choice(ODD_NUMBERS)) + text[place.end() :]
 
 
-def text_line(path: Path, rng: Rng) -> None:
+def text_line(data: bytes, rng: Rng) -> bytes:
     """A line is lost, doubled, moved or torn."""
-    lines = path.read_bytes().splitlines(keepends=True)
+    lines = data.splitlines(keepends=True)
     at = int(rng.integers(len(lines)))
     how = int(rng.integers(4))
     if how == 0:
@@ -211,22 +199,18 @@ def text_line(path: Path, rng: Rng) -> None:
         lines.append(lines.pop(at))
     else:
         lines[at] = lines[at][: len(lines[at]) // 2]
-    path.write_bytes(b"".join(lines))
+    return b"".join(lines)
 
 
-def json_value(path: Path, rng: Rng) -> None:
-    path.write_text(json.dumps(changed(json.loads(path.read_text()), rng)))
+def json_value(text: str, rng: Rng) -> str:
+    return json.dumps(changed(json.loads(text), rng))
 
 
-def jsonl_value(path: Path, rng: Rng) -> None:
-    lines = path.read_text().splitlines()
+def jsonl_value(text: str, rng: Rng) -> str:
+    lines = text.splitlines()
     at = int(rng.integers(len(lines)))
-    lines[at] = json.dumps(changed(json.loads(lines[at]), rng))
-    path.write_text("\n".join(lines) + "\n")
-
-
-def json_deep(path: Path, rng: Rng) -> None:
-    path.write_text("[" * 100_000)
+    lines[at] = json_value(lines[at], rng)
+    return "\n".join(lines) + "\n"
 
 
 def changed(tree: Any, rng: Rng) -> Any:
@@ -240,30 +224,32 @@ def changed(tree: Any, rng: Rng) -> Any:
 
     walk(tree)
     if not spots:
-        return ODD_VALUES[int(rng.integers(len(ODD_VALUES)))]
+        return pick(ODD_VALUES, rng)
     shallow = [s for s in spots if s[0] is tree]
-    among = shallow if rng.random() < 0.3 else spots  # few of a file's values are not numbers of a long list
-    node, key = among[int(rng.integers(len(among)))]
+    node, key = pick(shallow if rng.random() < 0.3 else spots, rng)  # most values are numbers of a long list
     how = int(rng.integers(5))
     if how == 0:
         del node[key]
-    elif how == 1 and isinstance(node[key], list):
-        node[key] = node[key][: len(node[key]) // 2]
-    elif how == 2 and isinstance(node[key], list):
-        node[key] = node[key] * 2
+    elif how in (1, 2) and isinstance(node[key], list):
+        node[key] = node[key][: len(node[key]) // 2] if how == 1 else node[key] * 2
     elif how == 3 and isinstance(node, dict):
         node[f"{key}\x1b[31m"] = node.pop(key)
     else:
-        node[key] = ODD_VALUES[int(rng.integers(len(ODD_VALUES)))]
+        node[key] = pick(ODD_VALUES, rng)
     return tree
+
+
+def elements(path: Path) -> tuple[Any, list[tuple[Any, Any]]]:
+    """The tree of an XML file, and (parent, child) of all that is in it."""
+    tree = ElementTree.parse(path)
+    return tree, [(p, c) for p in tree.iter() for c in p]
 
 
 def xml_value(path: Path, rng: Rng) -> None:
     """An attribute gets another value, or an element is lost, doubled or renamed."""
-    tree = ElementTree.parse(path)
-    parents = [(p, c) for p in tree.iter() for c in p]
+    tree, pairs = elements(path)
     how = int(rng.integers(5))
-    parent, child = parents[int(rng.integers(len(parents)))]
+    parent, child = pick(pairs, rng)
     if how == 0:
         parent.remove(child)
     elif how == 1:
@@ -271,85 +257,64 @@ def xml_value(path: Path, rng: Rng) -> None:
     elif how == 2:
         child.tag = "geom" if child.tag != "geom" else "body"
     else:
-        having = [node for node in tree.iter() if node.attrib]
-        node = having[int(rng.integers(len(having)))]
-        key = sorted(node.attrib)[int(rng.integers(len(node.attrib)))]
-        odd = ("nan", "inf", "0", "-1", "1e-9", "1e30", "", "0 0", "abc", "../../x", "/etc/passwd", "1 " * 500)
-        node.set(key, str(rng.choice(odd)))
+        node = pick([node for node in tree.iter() if node.attrib], rng)
+        node.set(pick(sorted(node.attrib), rng), str(rng.choice(ODD_ATTRIBUTES)))
     tree.write(path)
 
 
 def xml_tree(path: Path, rng: Rng) -> None:
     """Elements are replicated, nested, included or linked without end."""
-    tree = ElementTree.parse(path)
-    parents = [(p, c) for p in tree.iter() for c in p]
-    parent, child = parents[int(rng.integers(len(parents)))]
+    tree, pairs = elements(path)
+    add, root = ElementTree.SubElement, tree.getroot()
+    parent, child = pick(pairs, rng)
     how = int(rng.integers(7))
     parent.remove(child)
     if how == 0:
-        outer = ElementTree.SubElement(parent, "replicate", count=str(rng.choice((3, 1000, 10**8))), offset="1 0 0")
-        outer.append(child)
+        add(parent, "replicate", count=str(rng.choice((3, 1000, 10**8))), offset="1 0 0").append(child)
     elif how == 1:
         for _ in range(int(rng.choice((6, 300)))):
-            parent = ElementTree.SubElement(parent, "replicate", count="30")
+            parent = add(parent, "replicate", count="30")
         parent.append(child)
     elif how == 2:
         for _ in range(int(rng.choice((50, 2000)))):
-            parent = ElementTree.SubElement(parent, str(rng.choice(("body", "frame", "default"))))
+            parent = add(parent, str(rng.choice(("body", "frame", "default"))))
         parent.append(child)
     elif how == 3:
-        ElementTree.SubElement(parent, "include", file=str(rng.choice((path.name, "../x.xml", "/etc/passwd", "none"))))
+        add(parent, "include", file=str(rng.choice((path.name, "../x.xml", "/etc/passwd", "none"))))
     elif how == 4:
         size = {"width": "99999", "height": "99999"}
-        asset = ElementTree.SubElement(tree.getroot(), "asset")
-        ElementTree.SubElement(asset, "texture", {"name": "big", "type": "2d", "builtin": "flat", **size})
+        add(add(root, "asset"), "texture", {"name": "big", "type": "2d", "builtin": "flat", **size})
     elif how == 5:
-        ElementTree.SubElement(tree.getroot(), "size", memory=str(rng.choice(("900G", "1", "-5", "x"))))
+        add(root, "size", memory=str(rng.choice(("900G", "1", "-5", "x"))))
     else:
-        body = tree.getroot().find("worldbody")
+        body = root.find("worldbody")
         composite = {"type": "cable", "count": str(rng.choice(("3", "90000000", "0"))) + " 1 1", "size": "1"}
-        ElementTree.SubElement(parent if body is None else body, "composite", composite)
+        add(parent if body is None else body, "composite", composite)
     tree.write(path)
 
 
-def yaml_tree(path: Path, rng: Rng) -> None:
+def yaml_tree(text: str, rng: Rng) -> str:
     """Aliases that grow by ten a line, brackets without end, a tag, a key that is none, a value of another kind."""
-    bomb = "\n".join(["a0: &a0 [x]", *(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 9))])
-    odd = (f"{bomb}\n", "[" * 5000, "!!python/object/apply:os.system [ls]\n", "? [1, 2]\n: 3\n", "&a [*a]\n")
-    text = path.read_text("utf-8", "surrogateescape")
     how = int(rng.integers(4))
-    if how == 0:
-        text = odd[int(rng.integers(len(odd)))]
-    elif how == 1:
-        text += odd[int(rng.integers(len(odd)))]
-    else:
-        found = list(re.finditer(r":[ \t]*\S.*", text))
-        place = found[int(rng.integers(len(found)))]
-        value = "*a8" if how == 2 else json.dumps(ODD_VALUES[int(rng.integers(len(ODD_VALUES)))])
-        text = (f"{bomb}\n" if how == 2 else "") + text[: place.start()] + f": {value}" + text[place.end() :]
-    path.write_text(text, "utf-8", "surrogateescape")
-
-
-def xml_entities(path: Path, rng: Rng) -> None:
-    path.write_text('<!DOCTYPE a [<!ENTITY b SYSTEM "file:///etc/passwd">]><mujoco>&b;</mujoco>')
-
-
-def array(path: Path, rng: Rng) -> None:
-    np.save(path, odd_array(np.load(path), rng))
+    if how < 2:
+        return pick(ODD_YAML, rng) if how == 0 else text + pick(ODD_YAML, rng)
+    place = pick(list(re.finditer(r":[ \t]*\S.*", text)), rng)
+    value = "*a8" if how == 2 else json.dumps(pick(ODD_VALUES, rng))
+    return (BOMB if how == 2 else "") + text[: place.start()] + f": {value}" + text[place.end() :]
 
 
 def archive_array(path: Path, rng: Rng) -> None:
     """One array of an .npz."""
     with np.load(path) as store:
         arrays = dict(store)
-    name = sorted(arrays)[int(rng.integers(len(arrays)))]
+    name = pick(sorted(arrays), rng)
     how = int(rng.integers(4))
-    if how == 0:
-        del arrays[name]
+    if how > 1:
+        arrays[name] = odd_array(arrays[name], rng)
     elif how == 1:
         arrays[f"{name}\x1b[31m"] = arrays.pop(name)
     else:
-        arrays[name] = odd_array(arrays[name], rng)
+        del arrays[name]
     with path.open("wb") as file:
         np.savez(file, **arrays)
 
@@ -364,14 +329,14 @@ def odd_array(values: np.ndarray, rng: Rng) -> np.ndarray:
         numbers.ravel(), np.zeros((0, *numbers.shape[1:])), numbers.astype("U8"), numbers.astype(complex),
         np.full(numbers.shape, None), numbers.astype(np.int8), numbers * 0, -numbers, numbers[::-1], np.float64(3.0),
     ]  # fmt: skip
-    return choices[int(rng.integers(len(choices)))]
+    return pick(choices, rng)
 
 
 def archive_member(path: Path, rng: Rng) -> None:
     """A member of a .zip is lost, renamed, doubled, damaged, or leads out of the folder."""
     with zipfile.ZipFile(path) as archive:
         members = {n: archive.read(n) for n in archive.namelist()}
-    name = sorted(members)[int(rng.integers(len(members)))]
+    name = pick(sorted(members), rng)
     data = members.pop(name)
     how = int(rng.integers(6))
     if how == 1:
@@ -384,7 +349,7 @@ def archive_member(path: Path, rng: Rng) -> None:
         members[name] = bytes(50 * 2**20)
     elif how == 5:
         try:
-            members[name] = json.dumps(changed(json.loads(data), rng)).encode()
+            members[name] = json_value(data.decode(), rng).encode()
         except ValueError:
             members[name] = rng.bytes(len(data))
     out = io.BytesIO()
@@ -394,24 +359,24 @@ def archive_member(path: Path, rng: Rng) -> None:
     path.write_bytes(out.getvalue())
 
 
-Damage = Callable[[Path, Rng], None]
-BYTES: tuple[Damage, ...] = (
-    flip_bits, flip_early, huge_header, cut_off, zero_block, append, emptied, noise, shifted, doubled, no_numbers,
-)  # fmt: skip
-FILES: tuple[Damage, ...] = (
-    removed, renamed, renamed_inside, swapped, copied, loop, loop_of_two, dangling, outside, fifo, folder_instead,
-)  # fmt: skip
+XML_ENTITIES = '<!DOCTYPE a [<!ENTITY b SYSTEM "file:///etc/passwd">]><mujoco>&b;</mujoco>'
+CONTENT: tuple[tuple[str, Damage, tuple[str, ...]], ...] = (
+    ("json_value", of_text(json_value), (".json",) * 3),
+    ("json_deep", of_text(lambda text, rng: "[" * 100_000), (".json",)),
+    ("jsonl_value", of_text(jsonl_value), (".jsonl",)),
+    ("xml_value", xml_value, (".xml",) * 2),
+    ("xml_tree", xml_tree, (".xml",) * 2),
+    ("xml_entities", of_text(lambda text, rng: XML_ENTITIES), (".xml",)),
+    ("yaml_tree", of_text(yaml_tree), (".yaml", ".yml") * 2),
+    ("text_number", of_text(text_number), (".json", ".jsonl", ".xml", ".yaml", ".yml")),
+    ("text_line", of_bytes(text_line), (".jsonl", ".yaml", ".yml")),
+    *((name, BYTES[name], BINARY) for name in ("shifted", "doubled", "no_numbers")),
+    ("archive_array", archive_array, (".npz",) * 2),
+    ("array", lambda path, rng: np.save(path, odd_array(np.load(path), rng)), (".npy",)),
+    ("archive_member", archive_member, (".npz", ".r3d", ".pt")),
+)
+"""What a suffix stands in several times is done as many times as often."""
+TEXTUAL = ("text_number", "text_line")
+"""Of files of text that nothing above is for."""
 ANY = (*BYTES, *FILES)
-TEXTUAL: tuple[Damage, ...] = (text_number, text_line)
-DAMAGE_OF: dict[str, tuple[Damage, ...]] = {
-    ".json": (json_value, json_value, json_value, json_deep, text_number),
-    ".jsonl": (jsonl_value, text_number, text_line),
-    ".xml": (xml_value, xml_value, xml_tree, xml_tree, xml_entities, text_number),
-    ".yaml": (yaml_tree, yaml_tree, text_number, text_line),
-    ".yml": (yaml_tree, yaml_tree, text_number, text_line),
-    **dict.fromkeys((".ply", ".stl", ".glb", ".pcd", ".las", ".bin"), (shifted, doubled, no_numbers)),
-    ".npz": (archive_array, archive_array, archive_member),
-    ".npy": (array,),
-    ".r3d": (archive_member,),
-    ".pt": (archive_member,),
-}
+DAMAGES = {**BYTES, **FILES, **{name: apply for name, apply, _ in CONTENT}}
