@@ -28,8 +28,9 @@ from realsim.feedforward.rgbd.features import Match, View
 PRIOR = np.array([0.1, 0.03, 0.03, 0.03, 0.03])
 """Standard deviations of zoom, centre (2, on the plane z = 1) and shift (2, metres): colour and depth cameras of one
 housing. Kinect: 0.11, 0.01, 0.025 m."""
-LEAST = 2000
-"""Matched points below which nothing is concluded."""
+LEAST = 16
+"""Pairs of frames below which nothing is concluded: a quarter of them judge. Of ten rendered captures and a real one in
+pieces of 4 to 58 frames (100, colour registered) 8 were corrected wrongly, with 4 to 12 pairs, and none with more."""
 PAIRS, POINTS = 160, 80
 """Most pairs of frames, and most matches of a pair, that take part."""
 STEPS = 8
@@ -129,9 +130,9 @@ def calibrate(views: Sequence[View], matches: Sequence[Match], T: F64 | None = N
         keep = np.unique(np.linspace(0, len(m.a) - 1, POINTS).astype(int))
         far += [replace(m, a=m.a[keep], b=m.b[keep])] if len(m.a) >= 20 else []
     far = [far[k] for k in np.unique(np.linspace(0, len(far) - 1, PAIRS).astype(int))] if far else []
-    held_out, used = far[::4], [m for k, m in enumerate(far) if k % 4]
-    if sum(len(m.a) for m in used) < LEAST or not held_out:
+    if len(far) < LEAST:
         return None
+    held_out, used = far[::4], [m for k, m in enumerate(far) if k % 4]
     fitted, apart = (_Pairs.of(views, some, T, gain) for some in (used, held_out))
 
     def residual(theta: F64) -> F64:
