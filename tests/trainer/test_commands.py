@@ -19,7 +19,7 @@ from trainer.commands.common import find_terrain
 from trainer.commands.task_file import load_task
 from trainer.errors import TrainerError
 from trainer.ppo import checkpoint, export
-from trainer.ppo.config import NetworkConfig, PPOConfig, StrategyConfig
+from trainer.ppo.config import NetworkConfig, PPOConfig
 from trainer.ppo.loop import LoopConfig
 from trainer.tasks.parkour import ParkourConfig
 from trainer.tasks.parkour.config import (
@@ -108,10 +108,11 @@ def test_help_for_a_first_success_leaves_the_users_own_settings() -> None:
     assert helped(scene, own)[1] == own
 
 
-def test_a_hard_course_is_learnt_with_less_noise_unless_it_was_asked_for() -> None:
+def test_a_hard_course_ends_with_less_noise_unless_its_end_is_given() -> None:
     config = steadied(TrainConfig())
-    assert (config.ppo.std_limits, config.tuning.start_std) == ((1.0, STEADY), STEADY)
-    own = TrainConfig(tuning=StrategyConfig(start_std=0.4))
+    noise = [config.ppo.std_limit(0, tuned=True, share=s) for s in (0.0, 0.5, 1.0)]
+    assert noise == pytest.approx([0.3, 0.225, STEADY])
+    own = TrainConfig(ppo=PPOConfig(std_end=0.4))
     assert steadied(own) == own
 
 

@@ -21,9 +21,8 @@ time is over earns 62, discounted as PPO does 7.6, and one that falls half way 1
 Standing at the start earns 12 and 5.3, with this weight 6 and 2.7 (tests/trainer/test_attempt.py)."""
 
 STEADY = 0.15
-"""Largest exploration noise on such a course: a foot of G1 then lands 2 cm off (one sigma), with the usual 0.3 3.5 cm,
-which is all that a beam 13 cm wide leaves beside the foot. Set on `beams:1`, where five minutes of half a GPU lead from
-62 to 80 % (68 with 0.3; 1,000 trials); on `beams:1:77`, which it was not set on, from 44 to 70 % (64)."""
+"""Largest exploration noise with which such a training ends: a foot of G1 then lands 2 cm off (one sigma), with the
+usual 0.3 3.5 cm, which is all that a beam 13 cm wide leaves beside the foot."""
 
 
 def helped(scene: Scene, task: ParkourConfig) -> tuple[Scene, ParkourConfig]:
@@ -41,9 +40,5 @@ def helped(scene: Scene, task: ParkourConfig) -> tuple[Scene, ParkourConfig]:
 
 
 def steadied(config: TrainConfig) -> TrainConfig:
-    """With less exploration noise, where the options of it are the usual ones."""
-    ppo, tuning = config.ppo, config.tuning
-    if (ppo.std_limits, tuning.start_std) != (type(ppo).std_limits, type(tuning).start_std):
-        return config
-    ppo = replace(ppo, std_limits=(ppo.std_limits[0], STEADY))
-    return replace(config, ppo=ppo, tuning=replace(tuning, start_std=STEADY))
+    """With less and less exploration noise, unless its end is given."""
+    return replace(config, ppo=replace(config.ppo, std_end=config.ppo.std_end or STEADY))
