@@ -345,6 +345,7 @@ def _report(desk: Desk, refreshed: Callable[[], None]) -> None:
         desk.reading = None
         refreshed()
 
+    ui.keyboard(on_key=lambda event: close() if event.key.escape and event.action.keydown else None)
     with ui.card().classes("w-full"):
         with ui.row().classes("w-full items-center"):
             _title(desk.reading.folder.name)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from pathlib import Path
 from secrets import token_urlsafe
 from typing import Any
@@ -43,6 +44,8 @@ def serve(folder: Path, port: int = 0, token: str = "", open_browser: bool = Tru
     print(f"realsim app: {address}\nfolder: {folder.resolve()} (end with Ctrl-C)", flush=True)
     ui.page("/", title="realsim")(lambda: show(desk))
     app.on_shutdown(desk.close)
+    # The server ends at Ctrl-C by itself, then raises the signal once more: to end so is no failure.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     ui.run(
         host="127.0.0.1", port=port, title="realsim", reload=False, show=f"/?token={token}" if open_browser else False,
         show_welcome_message=False, favicon="🦿", dark=None,
