@@ -216,7 +216,7 @@ def _assemble(
     equivalent = [tuple(describe_set(other)) for other in (concluded.equivalent if causes else ())]
     looks_like = what_stays(simulator, comparison, fit, runs) if gap else []
     lead = describe_set(concluded.lead)[0] if concluded.lead else None
-    said = sentence(judgement, causes, equivalent, checked, where, looks_like, case, lead)
+    said = sentence(judgement, causes, equivalent, checked, where, looks_like, case, lead, screen.cut_short)
     todo = advice(judgement, causes, equivalent, where, case, lead)
     if selection.cut_short:
         said, todo = f"{said} {CUT_SHORT}", f"give the search more time (--time-limit), or {todo}"

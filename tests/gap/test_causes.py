@@ -12,8 +12,7 @@ from realsim.gap import Case, load_case
 from realsim.gap.answer.diagnosis import ranked_effects
 from realsim.gap.figures import CLEARLY, PRICE
 from realsim.gap.inference.causes.fit import Cause, Fit, Fitter
-from realsim.gap.inference.causes.fitted import Trial
-from realsim.gap.inference.causes.leftover import leftover
+from realsim.gap.inference.causes.fitted import Trial, leftover
 from realsim.gap.inference.causes.proposals import ADD, EXCHANGE, Propose, ranked
 from realsim.gap.inference.causes.score import doubts, left_out, score
 from realsim.gap.inference.causes.search import Search

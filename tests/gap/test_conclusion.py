@@ -11,13 +11,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from realsim.core.errors import RealsimError
 from realsim.gap import Case, DiagnoseConfig, diagnose, figures, load_case
 from realsim.gap.answer.conclusion import _again, _fitted, _lasting, _told_from_none, beside_imitations
 from realsim.gap.answer.diagnosis import Diagnosis
 from realsim.gap.answer.leaveout import better, discrepancy, leave_out
 from realsim.gap.inference.causes.fit import Cause, Fit, Fitter
-from realsim.gap.inference.causes.leftover import leftover
+from realsim.gap.inference.causes.fitted import leftover
 from realsim.gap.inference.causes.score import asked
 from realsim.gap.inference.causes.select import Selection
 from realsim.gap.inference.likelihood.comparison import Comparison
@@ -111,9 +110,16 @@ def test_a_search_that_is_cut_short_answers_with_what_it_has(sticky: Case, monke
     assert found.statistics["cut_short"]
 
 
-def test_a_time_limit_that_ends_before_any_answer_is_said(sticky: Case) -> None:
-    with pytest.raises(RealsimError, match=r"before there was an answer[\s\S]*--time-limit"):
-        diagnose(sticky, replace(PLAIN, time_limit=1e-6))
+def test_a_time_limit_that_ends_before_the_first_slopes_says_where_the_gap_lies(sticky: Case) -> None:
+    found = diagnose(sticky, replace(PLAIN, time_limit=1e-6))
+    assert found.verdict == "unexplained"
+    assert found.where[0]["joint"] == diagnose(sticky, PLAIN).where[0]["joint"]
+    assert not found.causes
+    assert found.lead is None
+    assert "joint position" in found.sentence
+    assert "cut short" in found.sentence
+    assert "--time-limit" in found.advice
+    assert "noise" in found.health
 
 
 def test_no_probability_is_stated_that_was_not_calibrated(calm: Diagnosis) -> None:
@@ -197,6 +203,23 @@ def test_a_law_without_its_own_part_is_no_rival(fitter: Fitter) -> None:
     assert other is not None
     assert _again(fitter.screen, nothing, fit)
     assert not _again(fitter.screen, other, fit)
+
+
+def test_the_same_value_at_a_further_joint_is_no_rival(fitter: Fitter) -> None:
+    """A torque limit at a shoulder was `ambiguous` beside the same limit at an elbow, too, which never came near it."""
+    alone = cause(fitter, "coulomb_friction", 3.0)
+    wide = next(
+        c for c in fitter.screen.candidates if c.effect == "coulomb_friction" and set(c.place) == {"shoulder", "elbow"}
+    )
+    fit = fitter.looked_at(fitter.nominal(), [alone])
+    same, less = (fitter.looked_at(fitter.nominal(), [Cause(wide, (value,))]) for value in (3.02, 1.5))
+    assert fit is not None
+    assert same is not None
+    assert less is not None
+    fit = fitter.spread(fit)
+    assert _again(fitter.screen, same, fit)
+    assert not _again(fitter.screen, less, fit)  # at both joints it is another size
+    assert not _again(fitter.screen, fit, same)  # the further joint would go unnamed
 
 
 def test_a_weaker_servo_is_compared_with_load_friction(arm: Case) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from realsim.gap import EFFECTS, Case
 from realsim.gap.inference.causes.fit import Cause, Fit, Fitter
-from realsim.gap.inference.causes.leftover import deviations, is_gap, leftover
+from realsim.gap.inference.causes.fitted import deviations, is_gap, leftover
 from realsim.gap.inference.causes.proposals import by_simulation
 from realsim.gap.inference.causes.search import Search, second_look
 from realsim.gap.inference.likelihood.screen import Candidate

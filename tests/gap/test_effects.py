@@ -118,10 +118,20 @@ def test_parameters_are_well_formed(name: str, somewhere: tuple[Simulator, list]
         assert effect.excited_by(simulator.context, place).reason
 
 
+def test_a_payload_is_compared_with_the_centre_of_mass_that_it_shifts(simulator: Simulator) -> None:
+    """The centre of mass of a pendulum's rod, 42 mm off, was `identified` as a mass at its end."""
+    values = {"mass": 0.5, "x": 0.02, "y": 0.0, "z": -0.3}
+    found = EFFECTS["payload"].rivals.suggest(simulator.context, ("fore",), values)
+    body = simulator.context.case.model.body("fore")
+    shift = 0.5 * (np.array([0.02, 0.0, -0.3]) - body.ipos) / (body.mass[0] + 0.5)
+    own = [s.values for s in found if (s.effect, s.place) == ("com_offset", ("fore",))]
+    assert own == [pytest.approx(dict(zip("xyz", shift, strict=True))), {"z": pytest.approx(shift[2])}]
+
+
 def test_a_payload_near_a_joint_does_nearly_the_same_on_both_links(simulator: Simulator) -> None:
     payload = EFFECTS["payload"]
     values = {"mass": 0.5, "x": 0.0, "y": 0.0, "z": 0.01}  # 1 cm above the elbow
-    (found,) = payload.rivals.suggest(simulator.context, ("fore",), values)
+    *_, found = payload.rivals.suggest(simulator.context, ("fore",), values)
     place, moved = found.place, found.values
     assert place == ("upper",)
     assert moved == pytest.approx({"mass": 0.5, "x": 0.0, "y": 0.0, "z": -0.39})

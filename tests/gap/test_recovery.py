@@ -11,7 +11,7 @@ import pytest
 from realsim.gap import EFFECTS, Case, effects, load_case
 from realsim.gap.effects.base import Effect
 from realsim.gap.inference.causes.fit import Cause
-from realsim.gap.inference.causes.leftover import deviations, is_gap, leftover
+from realsim.gap.inference.causes.fitted import deviations, is_gap, leftover
 from realsim.gap.inference.causes.proposals import by_simulation
 from realsim.gap.inference.causes.starts import starts
 from realsim.gap.inference.likelihood.linear import log_evidence, marginal

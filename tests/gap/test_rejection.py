@@ -11,7 +11,7 @@ from realsim.gap import EFFECTS, Case, load_case
 from realsim.gap.effects import ON_REQUEST
 from realsim.gap.figures import CLEARLY
 from realsim.gap.inference.causes.fit import Cause, Fit, Fitter
-from realsim.gap.inference.causes.leftover import is_gap, leftover
+from realsim.gap.inference.causes.fitted import is_gap, leftover
 from realsim.gap.inference.causes.proposals import ranked
 from realsim.gap.inference.causes.select import select
 from realsim.gap.inference.likelihood.screen import Screen

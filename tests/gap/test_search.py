@@ -14,9 +14,8 @@ from realsim.gap.effects.base import Parameter
 from realsim.gap.effects.lookup import lookup
 from realsim.gap.figures import BRIEF, CAUSE, CAUSE_A_JOINT, CLEARLY, SHARE
 from realsim.gap.inference.causes.fit import Cause, Fitter
-from realsim.gap.inference.causes.fitted import at_an_end, at_bound
+from realsim.gap.inference.causes.fitted import at_an_end, at_bound, leftover
 from realsim.gap.inference.causes.gauss_newton import Rough
-from realsim.gap.inference.causes.leftover import leftover
 from realsim.gap.inference.causes.proposals import by_slopes, ranked
 from realsim.gap.inference.causes.score import asked, doubts, score, searched
 from realsim.gap.inference.causes.search import Search

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from realsim.gap import EFFECTS, Case, figures, load_case
 from realsim.gap.case.model.edit import Edit
 from realsim.gap.inference.causes.fit import Cause, Fitter
-from realsim.gap.inference.causes.leftover import leftover
+from realsim.gap.inference.causes.fitted import leftover
 from realsim.gap.inference.causes.proposals import by_effect
 from realsim.gap.inference.causes.search import Search
 from realsim.gap.inference.likelihood.comparison import Comparison

@@ -233,12 +233,14 @@ def _summary(result: Mapping[str, Any], out: Path, config: DiagnoseConfig) -> st
 
     said = SAID[GapVerdict(result["verdict"])]
     # The finding itself where it can be acted on; the rest of the sentence is in the rows.
-    finding = result["sentence"] if said.level == "good" and result["causes"] else said.headline
+    cut_short = result["statistics"]["cut_short"]
+    told = said.level == "good" if result["causes"] else cut_short  # what was not searched for is not ruled out
+    finding = result["sentence"] if told else said.headline
     parts = brief(result)
     rows = [row for part in parts.values() for row in part]
     warnings = result["health"]["warnings"]
     if warnings:
         rows.append(("notes", f"{len(warnings)} about the log, in the report; the first: {warnings[0]}"))
     rows.append(("files", f"{out / 'model.xml'}, {out / ('report.html' if config.report else 'diagnosis.json')}"))
-    cut = " (the search was cut short)" if result["statistics"]["cut_short"] else ""
+    cut = " (the search was cut short)" if cut_short else ""
     return "\n".join([f"{said.word}{cut}: {finding}", *(f"  {label:<9}{text}" for label, text in rows)])

@@ -17,7 +17,7 @@ from realsim.core.statistics import interval90, resampled
 from realsim.core.types import F64
 from realsim.gap import figures
 from realsim.gap.case.model.channels import unit_of
-from realsim.gap.inference.causes.leftover import is_gap
+from realsim.gap.inference.causes.fitted import is_gap
 from realsim.gap.inference.likelihood.comparison import Comparison
 from realsim.gap.simulation.simulate import Setting, Simulator, measured
 

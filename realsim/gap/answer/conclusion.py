@@ -23,8 +23,18 @@ from realsim.gap.answer.verdict import Fitted, Judgement, judge
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.effects.lookup import lookup
 from realsim.gap.inference.causes.fit import Fitter
-from realsim.gap.inference.causes.fitted import Cause, Fit, Trial, at_an_end, imitates, implausible
-from realsim.gap.inference.causes.leftover import is_gap, leftover, nuisance_settings
+from realsim.gap.inference.causes.fitted import (
+    Cause,
+    Fit,
+    Trial,
+    at_an_end,
+    imitates,
+    implausible,
+    is_gap,
+    leftover,
+    nuisance_settings,
+    values_of,
+)
 from realsim.gap.inference.causes.score import score
 from realsim.gap.inference.causes.select import Selection
 from realsim.gap.inference.causes.starts import contains, suggested
@@ -268,14 +278,29 @@ def _as_good(fitter: Fitter, trials: Sequence[Trial], fit: Fit, left: LeftOut) -
 
 
 def _again(screen: Screen, rival: Fit, fit: Fit) -> bool:
-    """Whether a rival says nothing new: one of its causes does nothing, or contains one that is named."""
+    """Whether a rival says nothing new: one of its causes does nothing, or contains one that is named, or it is the set
+    itself with its values at further places, which the runs do not show."""
     runs, simulator, comparison = list(screen.runs), screen.simulator, screen.comparison
     nothing = [screen.comparison.residual(r, y) for r, y in zip(runs, screen.nominal, strict=True)]
     for cause in rival.causes:
         own = errors(simulator, comparison, cause.settings(), runs, fit.conditions.onsets)
         if own and mean_square(comparison, [x - y for x, y in zip(own, nothing, strict=True)], runs) < figures.LEAST:
             return True
-    return any(contains(c.candidate, o.candidate) for c in rival.causes for o in fit.causes)
+    return any(contains(c.candidate, o.candidate) for c in rival.causes for o in fit.causes) or _wider(rival, fit)
+
+
+def _wider(rival: Fit, fit: Fit) -> bool:
+    """Whether a rival has all causes of a set, at the same places and further ones, with values that agree."""
+    same = [
+        c
+        for o in fit.causes
+        for c in rival.causes
+        if (c.candidate.effect, c.candidate.names) == (o.candidate.effect, o.candidate.names)
+        and set(c.candidate.places) >= set(o.candidate.places)
+    ]
+    if len(same) != len(fit.causes):
+        return False
+    return bool((np.abs(values_of(same) - values_of(fit.causes)) <= Z90 * fit.sigmas).all())
 
 
 def _fitted(screen: Screen, fit: Fit, nothing: Fit, nominal: Sequence[F64]) -> Fitted:

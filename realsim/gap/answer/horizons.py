@@ -20,8 +20,7 @@ from realsim.gap.answer.check import Horizons
 from realsim.gap.answer.leaveout import LeftOut
 from realsim.gap.case.model.channels import Channel
 from realsim.gap.case.motion import rate_gain
-from realsim.gap.inference.causes.fitted import Fit, at
-from realsim.gap.inference.causes.leftover import is_gap
+from realsim.gap.inference.causes.fitted import Fit, at, is_gap
 from realsim.gap.inference.evidence.shooting import Shots, shoot
 from realsim.gap.inference.likelihood.screen import Screen
 from realsim.gap.simulation.simulate import Setting

@@ -15,8 +15,7 @@ from realsim.core.statistics import resampled
 from realsim.core.types import F64
 from realsim.gap.answer.check import BLOCK_SECONDS, errors, mean_square
 from realsim.gap.inference.causes.fit import Fitter
-from realsim.gap.inference.causes.fitted import Fit, values_of
-from realsim.gap.inference.causes.leftover import rests
+from realsim.gap.inference.causes.fitted import Fit, rests, values_of
 from realsim.gap.inference.likelihood.comparison import CORRELATION, Comparison
 
 

@@ -41,8 +41,10 @@ def sentence(
     looks_like: Sequence[dict[str, Any]],
     case: Case,
     lead: Cause | None = None,
+    unsearched: bool = False,
 ) -> str:
-    """What is wrong, how sure that is, what it brings; or why that cannot be told, and what to record."""
+    """What is wrong, how sure that is, what it brings; or why that cannot be told, and what to record. `unsearched`: no
+    cause was looked at, so none is ruled out."""
     verdict = judgement.verdict
     nearest = f" The nearest cause is {phrase(lead)}" if lead else ""
     if verdict is GapVerdict.NO_GAP:
@@ -50,6 +52,8 @@ def sentence(
             "No gap that these runs can show: what differs is within sensor noise and the small deviations that every "
             "robot has." + (f"{nearest}: robots of one kind differ by as much." if lead else "")
         )
+    if not causes and unsearched:
+        return f"A gap{_mostly(where)}: {errors_of(checked, after=False)}{_looks(looks_like)}."
     if not causes:
         return (
             f"No cause that this library knows{_mostly(where)}: {errors_of(checked, after=False)}{_looks(looks_like)}; "

@@ -11,8 +11,7 @@ import numpy as np
 from realsim.core.errors import GapError
 from realsim.core.types import F64
 from realsim.gap.answer.patch import apply_patch, make_patch
-from realsim.gap.inference.causes.fitted import Fit
-from realsim.gap.inference.causes.leftover import rests
+from realsim.gap.inference.causes.fitted import Fit, rests
 from realsim.gap.inference.evidence.inverse import TorqueResidual, torque_residual
 from realsim.gap.inference.likelihood.comparison import Comparison
 from realsim.gap.inference.likelihood.screen import Screen

@@ -10,7 +10,7 @@ import numpy as np
 from realsim.core.types import F64
 from realsim.gap import figures
 from realsim.gap.answer.check import Check
-from realsim.gap.inference.causes.leftover import is_gap
+from realsim.gap.inference.causes.fitted import is_gap
 from realsim.gap.verdicts import GapVerdict
 
 RIGHT = "what a right model leaves by sensor noise and small errors"

@@ -28,8 +28,7 @@ from realsim.gap.effects import EFFECTS
 from realsim.gap.effects.base import Parameter
 from realsim.gap.effects.lookup import PLACES, SINCE, lookup, places_of
 from realsim.gap.inference.causes.fit import Fitter
-from realsim.gap.inference.causes.fitted import Cause, Fit, imitates
-from realsim.gap.inference.causes.leftover import is_gap, leftover
+from realsim.gap.inference.causes.fitted import Cause, Fit, imitates, is_gap, leftover
 from realsim.gap.inference.causes.select import select
 from realsim.gap.inference.likelihood.comparison import Comparison
 from realsim.gap.inference.likelihood.free_starts import free_starts

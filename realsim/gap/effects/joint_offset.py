@@ -63,5 +63,5 @@ EFFECT = Effect(
     variants=(("offset",), ("reading_offset",)),
     patchable=False,
     law=Law(form=EXACT, footing=("offset",)),
-    rivals=Rivals(suggest=_suggests),
+    rivals=Rivals(suggest=_suggests, compared=("backlash",)),
 )

@@ -62,7 +62,8 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
 
 
 def _suggests(context: Context, place: Place, values: dict[str, float]) -> list[Suggestion]:
-    """The same mass on the links before and behind: near the joint between them, it does the same on either."""
+    """The same mass on the links before and behind: near the joint between them, it does the same on either. And what
+    it does to the link's own centre of mass: where one joint moves it, the two differ by what the mass weighs."""
     import mujoco
 
     model, data = context.case.model, mujoco.MjData(context.case.model)
@@ -70,7 +71,10 @@ def _suggests(context: Context, place: Place, values: dict[str, float]) -> list[
     here = model.body(place[0])
     at = [values.get(a, c) for a, c in zip("xyz", here.ipos, strict=True)]
     world = data.xpos[here.id] + data.xmat[here.id].reshape(3, 3) @ at
-    found = []
+    shift = values["mass"] * (np.array(at) - here.ipos) / (float(here.mass[0]) + values["mass"])
+    far, axes = int(np.argmax(np.abs(shift))), dict(zip("xyz", shift.tolist(), strict=True))
+    own = [Suggestion("com_offset", place, axes), Suggestion("com_offset", place, {"xyz"[far]: axes["xyz"[far]]})]
+    found = own if shift.any() else []
     for name in context.bodies:
         there = model.body(name)
         if there.id == int(here.parentid[0]) or here.id == int(there.parentid[0]):

@@ -14,9 +14,8 @@ from realsim.gap import figures
 from realsim.gap.effects.lookup import lookup
 from realsim.gap.inference.causes.fitted import Cause as Cause
 from realsim.gap.inference.causes.fitted import Fit as Fit
-from realsim.gap.inference.causes.fitted import at, form, parameters_of, spread, values_of
+from realsim.gap.inference.causes.fitted import at, deviations, form, is_gap, leftover, parameters_of, spread, values_of
 from realsim.gap.inference.causes.gauss_newton import Few, GaussNewton, Rough, clip, widest
-from realsim.gap.inference.causes.leftover import deviations, is_gap, leftover
 from realsim.gap.inference.evidence.onsets import find_onsets
 from realsim.gap.inference.likelihood.linear import bounded
 
@@ -24,8 +23,9 @@ from realsim.gap.inference.likelihood.linear import bounded
 class Fitter(GaussNewton):
     """What the selection asks of a fit: causes at their best values, measured on all runs of a screen."""
 
-    def prepared(self, fit: Fit) -> Fit:
-        """The set under weights that follow from what it leaves, with slopes about its causes.
+    def prepared(self, fit: Fit, further: bool = False) -> Fit:
+        """The set under weights that follow from what it leaves, with slopes about its causes; those of candidates,
+        too, if a `further` cause is looked for.
 
         The discrepancy between robot and model is estimated with each set. Else a large gap would be fitted by absurd
         values of many nuisance parameters, since sensors are so precise that their prior does not count.
@@ -36,9 +36,9 @@ class Fitter(GaussNewton):
             here = here.under(onsets=find_onsets(screen.comparison, simulator.simulate(settings), screen.runs))
         fit = here.reweighted(fit)
         # Beside no gap, no further cause is looked for among many deviations, and the slopes that are there will do.
-        if fit.causes and (not screen.crowded or is_gap(leftover(screen, fit))):
+        if fit.causes and (further or not screen.crowded or is_gap(leftover(screen, fit))):
             if not any(lookup(c.candidate.effect).law.stiff for c in fit.causes):  # each slope at many times the steps
-                screen.relinearise(settings, fit.conditions)
+                screen.relinearise(settings, fit.conditions, further)
             here = here.under_those_of(fit)
             fit = here.reweighted(here.with_likelier_solver(here.remeasure(fit)))
         if not (simulator.context.touches or is_gap(leftover(screen, fit))):

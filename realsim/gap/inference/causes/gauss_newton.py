@@ -14,7 +14,7 @@ from realsim.gap import figures
 from realsim.gap.effects.base import Parameter
 from realsim.gap.effects.lookup import lookup
 from realsim.gap.inference.causes.fitted import Cause, Fit, at, parameters_of, values_of
-from realsim.gap.inference.likelihood.conditions import Conditions
+from realsim.gap.inference.likelihood.comparison import Conditions
 from realsim.gap.inference.likelihood.linear import Evidence, bounded, posterior, scaled
 from realsim.gap.inference.likelihood.screen import Screen
 from realsim.gap.simulation.cores import Recent
@@ -207,7 +207,7 @@ class GaussNewton:
         """Marginal information (m, m) and the scores (runs, m) of these normal equations, beside nuisances."""
         A, b, p = np.sum(evidence.A, axis=0), np.sum(evidence.b, axis=0), len(prior)
         mean, free = bounded(A[:p, :p], b[:p], prior, figures.REASONABLE * prior)
-        cov = posterior(A[:p, :p], b[:p], free)[1]
+        cov = posterior(A[:p, :p], free)
         info = A[p:, p:] - A[p:, :p] @ cov @ A[:p, p:]
         return info, np.array([b[p:] - a[p:, :p] @ mean for a, b in zip(evidence.A, evidence.b, strict=True)])
 

@@ -11,7 +11,7 @@ from realsim.core.types import F64
 from realsim.gap import figures
 from realsim.gap.effects.lookup import lookup
 from realsim.gap.inference.causes.fit import Cause, Fit, Fitter
-from realsim.gap.inference.causes.leftover import is_gap, leftover
+from realsim.gap.inference.causes.fitted import is_gap, leftover
 from realsim.gap.inference.causes.score import searched
 from realsim.gap.inference.causes.starts import Guess, nested, starts, suggested
 from realsim.gap.inference.causes.windows import window_candidates

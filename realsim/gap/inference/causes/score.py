@@ -10,8 +10,7 @@ from realsim.gap import figures
 from realsim.gap.effects.base import Place
 from realsim.gap.effects.lookup import lookup
 from realsim.gap.inference.causes.fit import Fit, Fitter
-from realsim.gap.inference.causes.fitted import imitates
-from realsim.gap.inference.causes.leftover import leftover
+from realsim.gap.inference.causes.fitted import imitates, leftover
 from realsim.gap.inference.causes.starts import contains, twins
 from realsim.gap.inference.likelihood.screen import Screen
 

@@ -16,9 +16,8 @@ import numpy as np
 from realsim.core.types import F64
 from realsim.gap import figures
 from realsim.gap.inference.causes.fit import Fit, Fitter
-from realsim.gap.inference.causes.fitted import EffectSet, Trial, exchanged, imitates
+from realsim.gap.inference.causes.fitted import EffectSet, Trial, exchanged, imitates, is_gap, leftover
 from realsim.gap.inference.causes.gauss_newton import Few
-from realsim.gap.inference.causes.leftover import is_gap, leftover
 from realsim.gap.inference.causes.proposals import ADD, EXCHANGE, Proposal, Propose, ranked
 from realsim.gap.inference.causes.score import asked, bent, doubts, near, score, searched
 from realsim.gap.inference.likelihood.screen import Key
@@ -80,9 +79,9 @@ class Search:
             self.best = self.fitter.fit(self.best.causes) or self.best
             self._keep(self.best)
 
-    def _prepare(self) -> Fit:
+    def _prepare(self, further: bool = False) -> Fit:
         """The best set under weights of its residual, which are kept for all alternatives."""
-        self.best = self.fitter.prepared(self.best)
+        self.best = self.fitter.prepared(self.best, further)
         self.fitter = self.fitter.under_those_of(self.best)
         return self.best
 
@@ -120,7 +119,7 @@ class Search:
         further = moves is ADD
         if len(self.best.causes) == (self.most if further else 0):
             return False
-        screen, here = self.fitter.screen, self._prepare()
+        screen, here = self.fitter.screen, self._prepare(further)
         if screen.simulator.context.touches and not here.causes:  # now deviations are simulated: do they leave a gap?
             here = self.best = here.under(gap=is_gap(leftover(screen, here)))
             self.fitter = self.fitter.under_those_of(here)

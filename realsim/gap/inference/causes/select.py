@@ -42,7 +42,7 @@ def select(fitter: Fitter, config: DiagnoseConfig, tick: Tick = lambda what, sha
     nothing = fitter.nominal()
     with suppress(OutOfTime):
         nothing = fitter.with_likelier_solver(nothing)
-    search = Search(fitter.under_those_of(nothing), config.max_causes, nothing)
+    search = Search(fitter.under_those_of(nothing), config.max_causes, nothing, cut_short=fitter.screen.cut_short)
     search.run(tick)
     fitter = search.fitter
     try:

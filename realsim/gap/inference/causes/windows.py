@@ -14,7 +14,7 @@ from realsim.gap.case.model.edit import NEAR
 from realsim.gap.effects.base import Place
 from realsim.gap.effects.lookup import lookup
 from realsim.gap.inference.causes.fit import Fit
-from realsim.gap.inference.causes.leftover import rests
+from realsim.gap.inference.causes.fitted import rests
 from realsim.gap.inference.likelihood.screen import Candidate, Screen
 
 

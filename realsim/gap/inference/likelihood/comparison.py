@@ -65,6 +65,19 @@ class Weights:
     """Run -> (B, C) root mean square that the form of the causes leaves open."""
 
 
+@dataclass(frozen=True, eq=False)
+class Conditions:
+    """Two fits compare where these are the same."""
+
+    about: F64
+    """(p,) nuisance parameters that every simulation contains; the others are linear about them."""
+    weights: Weights
+    onsets: Mapping[str, float] = field(default_factory=dict)
+    """Run -> seconds at which something sudden begins there; see realsim.gap.inference.evidence.onsets."""
+    gap: bool = False
+    """Whether everyday deviations alone leave a gap; the search finds out."""
+
+
 class Comparison:
     """Log against simulator on regular bins. Residuals are (B, C) a run, in the units of the channels."""
 

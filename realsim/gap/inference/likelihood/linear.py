@@ -48,12 +48,10 @@ class Evidence:
         return self.of([i for i in range(len(self.c)) if i != k] or [k])
 
 
-def posterior(A: F64, b: F64, prior: F64) -> tuple[F64, F64]:
-    """(mean, covariance) of x for r = G x + e with standard deviations `prior` (0: the atom is absent)."""
+def posterior(A: F64, prior: F64) -> F64:
+    """Covariance of x for r = G x + e with standard deviations `prior` (0: the atom is absent)."""
     D = prior[:, None]
-    inner = np.eye(len(prior)) + D * A * prior
-    solved = np.linalg.solve(inner, np.concatenate([(prior * b)[:, None], np.diag(prior)], axis=1))
-    return prior * solved[:, 0], D * solved[:, 1:]
+    return np.asarray(D * np.linalg.solve(np.eye(len(prior)) + D * A * prior, np.diag(prior)))
 
 
 def bounded(A: F64, b: F64, prior: F64, most: F64 | float) -> tuple[F64, F64]:
@@ -127,7 +125,7 @@ def marginal(evidence: Evidence, prior: F64, most: F64 | float) -> tuple[F64, F6
     beyond `most`, and the misfit."""
     A, b = np.sum(evidence.A, axis=0), np.sum(evidence.b, axis=0)
     x, free = bounded(A, b, prior, most)
-    cov = posterior(A, b, free)[1]
+    cov = posterior(A, free)
     return A - A @ cov @ A, b - A @ x, misfit_at(A, b, sum(evidence.c), x, prior)
 
 

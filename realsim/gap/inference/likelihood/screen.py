@@ -10,6 +10,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import zip_longest
 
 import numpy as np
@@ -22,11 +23,10 @@ from realsim.gap.effects import EFFECTS, ON_REQUEST
 from realsim.gap.effects.base import Effect, Parameter, Place
 from realsim.gap.effects.lookup import SINCE, lookup
 from realsim.gap.effects.nuisances import NUISANCES
-from realsim.gap.inference.likelihood.comparison import Comparison, Weights
-from realsim.gap.inference.likelihood.conditions import Conditions
+from realsim.gap.inference.likelihood.comparison import Comparison, Conditions, Weights
 from realsim.gap.inference.likelihood.linear import Evidence, Spectrum, scaled
 from realsim.gap.simulation.cores import Recent
-from realsim.gap.simulation.simulate import Setting, Simulator
+from realsim.gap.simulation.simulate import OutOfTime, Setting, Simulator
 
 SLIDING = {"N m": "N", "N m s/rad": "N s/m", "kg m^2": "kg", "rad": "m", "rad/s": "m/s"}
 """Unit of a parameter at a joint that turns -> at one that slides."""
@@ -108,9 +108,10 @@ class Screen:
         self._version = -1
         """Of the weights and slopes that the normal matrices are made of."""
         self._by: Weights | None = None
-        self._seen_beside: set[tuple[str, Place]] = set()
-        """(effect, place) of the causes that move the robot otherwise, about which slopes were taken last."""
-        self._about: Recent[list[F32] | None] = Recent(2)
+        self._seen_beside: dict[bool, frozenset[tuple[str, Place]]] = dict.fromkeys((True, False), frozenset())
+        """Whether of everyday deviations -> (effect, place) of the causes that move the robot otherwise, about which
+        slopes were taken last."""
+        self._about: Recent[list[F32] | None] = Recent(4)
         """Columns with slopes about causes, those of the set before the present one too."""
         self._informed: Recent[tuple[F64, Spectrum]] = Recent(8)
         """Information on the atoms, which all predictions share that are looked at under the same weights."""
@@ -123,8 +124,6 @@ class Screen:
         names = [*chosen, *NUISANCES]
         names += [n + SINCE for n in names] if since else []
         chosen = [n + SINCE for n in chosen] if since else chosen
-        self.atoms: list[Atom] = []
-        columns: list[list[F32]] = [[] for _ in self.runs]
         wanted: list[Atom] = []
         borrowed: set[tuple[str, Place]] = set()
         """Of effects whose slopes are all those of others."""
@@ -150,21 +149,28 @@ class Screen:
         self.nominal = simulator.simulate(runs=self.runs)
         # Slopes of a large robot bear a coarser step: it halves the time, and both ends of the difference share it.
         self.coarse = 2 if simulator.case.model.nv >= 5 and context.timestep <= 0.0025 else 1
-        base = simulator.simulate(runs=self.runs, coarse=self.coarse)
-        if not all(np.isfinite(y).all() for y in base):  # stiff servos may not bear it
-            self.coarse, base = 1, simulator.simulate(runs=self.runs)
-        point = _Point((), {}, tuple(range(len(self.runs))), base, self.nominal)
-        self.trees = self._apart(wanted, point)
+        self.trees: dict[str, int] = {}
         """Joint or body -> its kinematic tree, where none of them feels another one."""
-        changes = self._slopes(wanted, point, lambda share: tick("sensitivities", share))
-        for atom, change in zip(wanted, changes, strict=True):
-            if change is None:
-                continue
-            self.atoms.append(atom)
-            for i, column in enumerate(change):
-                columns[i].append(column)
-        self._columns = [np.stack(c, axis=1) if c else np.zeros((0, 0), np.float32) for c in columns]
-        if not self.atoms:
+        self.cut_short = False
+        """Whether time was over before there were slopes: then there are no atoms, and no candidates."""
+        changes: list[list[F32] | None] = []
+        try:
+            base = simulator.simulate(runs=self.runs, coarse=self.coarse)
+            if not all(np.isfinite(y).all() for y in base):  # stiff servos may not bear it
+                self.coarse, base = 1, simulator.simulate(runs=self.runs)
+            point = _Point((), {}, tuple(range(len(self.runs))), base, self.nominal)
+            self.trees = self._apart(wanted, point)
+            changes = self._slopes(wanted, point, lambda share: tick("sensitivities", share))
+        except OutOfTime:
+            self.cut_short = True
+        felt = [(atom, change) for atom, change in zip(wanted, changes, strict=False) if change is not None]
+        self.atoms = [atom for atom, _ in felt]
+        sizes = [len(comparison.times[run]) * len(comparison.channels) for run in self.runs]
+        self._columns = [np.zeros((size, len(felt)), np.float32) for size in sizes]
+        for i, (_, change) in enumerate(felt):
+            for column, changed in zip(self._columns, change, strict=True):
+                column[:, i] = changed
+        if not (self.atoms or self.cut_short):
             raise GapError(
                 "nothing that the log could show changes the simulation",
                 file=simulator.case.folder,
@@ -180,10 +186,10 @@ class Screen:
         self.prior = np.array([a.parameter.nuisance for a in self.atoms])
         self.usual = np.array([a.parameter.usual for a in self.atoms])
         """(p,) what the small deviations may scatter about instead of zero."""
-        self.stiff = np.array([lookup(a.effect).law.stiff for a in self.atoms])
+        self.stiff = np.array([lookup(a.effect).law.stiff for a in self.atoms], bool)
         """(p,) True for atoms that no time step bears at the size of a deviation: a spring would have to be softer."""
         slow = [lookup(a.effect).law.stepwise or a.parameter.fine for a in self.atoms]
-        self.simulable = ~(self.stiff | slow)
+        self.simulable = ~(self.stiff | np.array(slow, bool))
         """(p,) False for atoms that cost steps one by one, or many of them: as nuisances they stay linear."""
         self.candidates = self._candidates(chosen, borrowed)
         self.effects = {c.effect for c in self.candidates}
@@ -199,22 +205,31 @@ class Screen:
         few = np.linspace(0, len(order) - 1, count)
         return tuple(int(order[i]) for i in few.round().astype(int))
 
-    def relinearise(self, settings: Sequence[Setting], conditions: Conditions) -> None:
+    def relinearise(self, settings: Sequence[Setting], conditions: Conditions, further: bool = True) -> None:
         """Take all slopes anew about these causes: a robot that moves otherwise answers otherwise.
 
         Those of the causes themselves stay. What does next to nothing there, or cannot be simulated, explains nothing.
-        A cause that only the sensors have leaves every slope as it was.
+        A cause that only the sensors have leaves every slope as it was. Unless a `further` cause is looked for, only
+        those of everyday deviations are taken, which tell whether one is.
         """
-        moving = {(name, place) for name, place, values in settings if self.simulator.moves((name, place, values))}
-        if moving == self._seen_beside:
-            return
-        # The search often comes back to a set, with values that differ a little.
-        columns = self._about.get(frozenset(moving), lambda: self._taken_about(settings, conditions))
-        if columns is not None:
-            self._columns, self._seen_beside, self._by = columns, moving, None
+        moving = frozenset(
+            (name, place) for name, place, values in settings if self.simulator.moves((name, place, values))
+        )
+        for everyday in (True, False) if further else (True,):
+            if moving == self._seen_beside[everyday]:
+                continue
+            which = np.flatnonzero((self.prior > 0) == everyday).tolist()
+            # The search often comes back to a set, with values that differ a little.
+            columns = self._about.get((moving, everyday), partial(self._taken_about, settings, conditions, which))
+            if columns is None:
+                continue
+            self._columns = [c.copy() for c in self._columns]
+            for own, taken in zip(self._columns, columns, strict=True):
+                own[:, which] = taken
+            self._seen_beside[everyday], self._by = moving, None
 
-    def _taken_about(self, settings: Sequence[Setting], conditions: Conditions) -> list[F32] | None:
-        """The columns with slopes about these causes; None if they cannot be simulated."""
+    def _taken_about(self, settings: Sequence[Setting], conditions: Conditions, which: list[int]) -> list[F32] | None:
+        """The columns of these atoms with slopes about these causes; None if they cannot be simulated."""
         simulate, onsets = self.simulator.simulate, conditions.onsets
         there = simulate(settings, self.runs, onsets=onsets)
         base = simulate(settings, self.runs, self.coarse, onsets) if self.coarse > 1 else there
@@ -224,7 +239,7 @@ class Screen:
         near = {self._tree(place) for _, place, _ in settings}
         others = [
             i
-            for i, atom in enumerate(self.atoms)
+            for i, atom in ((i, self.atoms[i]) for i in which)
             if not any(atom.effect == name and set(atom.place) <= set(place) for name, place, _ in settings)
             and (None in near or self._tree(atom.place) in {None, *near})
         ]
@@ -239,7 +254,7 @@ class Screen:
                     found[k][:, i] = change[n] if change else 0.0
             weights = conditions.weights
             others = [i for i in others if any(self._turned(k, i, found[k][:, i], weights) for k in runs)]
-        return found
+        return [c[:, which] for c in found]
 
     def _turned(self, k: int, i: int, slope: F32, weights: Weights) -> bool:
         """Whether the slope of an atom on screened run k is another one than before."""
@@ -416,7 +431,7 @@ class Screen:
 
     def possible(self, x: F64) -> F64:
         """The nearest small deviations that can be simulated; tiny ones are left out."""
-        low, high = np.array([a.parameter.bounds for a in self.atoms]).T
+        low, high = np.array([a.parameter.bounds for a in self.atoms]).reshape(-1, 2).T
         whole = np.array([a.parameter.whole for a in self.atoms])
         x = np.where(self.simulable & (np.abs(x) > 0.05 * self.prior), x, 0.0)
         return np.asarray(np.clip(np.where(whole, np.round(x), x), low, high))
