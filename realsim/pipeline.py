@@ -250,10 +250,15 @@ class _Run:
         return value
 
 
+SLOW = ("realsim.core.open3d", "scipy.ndimage", "scipy.sparse.linalg", "trimesh", "networkx")
+"""Modules that take long to import. Not pymeshlab and mujoco: imported here, the process ended with a broken heap."""
+
+
 def import_ahead() -> None:
-    """Import Open3D, a second of one core, while views are read."""
-    with suppress(Exception):  # the stage that needs it says so
-        import_module("realsim.core.open3d")
+    """Import what later stages need, more than a second of one core, while views are read."""
+    for module in SLOW:
+        with suppress(Exception):  # the stage that needs it says so
+            import_module(module)
 
 
 def release_memory() -> None:

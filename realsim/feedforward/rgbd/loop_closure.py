@@ -55,6 +55,8 @@ SURER = 3.0
 """Times as far as a chain of matches that agree with given poses is off by, beyond which a match that contradicts it is
 false: what is true of each step of a way is true of its ends, but for levers and slack. Not tuned: likeness errs by a
 bay or a stake (0.2 to 2.6 m in rendered places), poses in another unit by as much as their steps add up to."""
+ROUGH = 1e-4
+"""Metres and radians to which chains are solved: a hundredth of what they may be off by, in a third of the steps."""
 STEPS = range(1, WINDOW + 2)
 """Kinds of links: this many steps apart in the sequence; the last are all that are more than the window."""
 
@@ -226,12 +228,14 @@ def _placed(n: int, edges: list[Edge], refused: list[Edge]) -> Joined:
         edges = [e for e in edges if id(e) not in bad]
 
 
-def _solved(used: NDArray[np.int64], edges: Sequence[Edge]) -> tuple[list[Edge], F64, NDArray[np.bool_]]:
+def _solved(
+    used: NDArray[np.int64], edges: Sequence[Edge], tolerance: float = 1e-8
+) -> tuple[list[Edge], F64, NDArray[np.bool_]]:
     """Edges of a connected part, its poses, and which edges contradict them."""
     local = {int(v): k for k, v in enumerate(used)}
     inner = [e for e in edges if e.i in local]
     here = [Edge(local[e.i], local[e.j], e.T_i_j, e.weight, e.root) for e in inner]
-    T, chi = optimise(chain_poses(len(used), here), here)
+    T, chi = optimise(chain_poses(len(used), here), here, tolerance=tolerance)
     return inner, T, chi > max(EDGE_LIMIT, 4 * float(np.median(chi))) if len(chi) else np.zeros(0, bool)
 
 
@@ -301,7 +305,7 @@ def _chained(n: int, edges: list[Edge]) -> Chains:
     for k, part in enumerate(components(n, edges)):
         piece[part] = k
         if len(part) > 1:
-            T[part] = _solved(part, edges)[1]
+            T[part] = _solved(part, edges, ROUGH)[1]
     step, turn = np.zeros(n), np.zeros(n)
     for i in range(1, n):
         before = np.flatnonzero(piece[:i] == piece[i])

@@ -76,8 +76,9 @@ def chain_poses(count: int, edges: Sequence[Edge], root: int = 0) -> F64:
     return T
 
 
-def optimise(T_world_camera: F64, edges: Sequence[Edge], anchor: int = 0) -> tuple[F64, F64]:
+def optimise(T_world_camera: F64, edges: Sequence[Edge], anchor: int = 0, tolerance: float = 1e-8) -> tuple[F64, F64]:
     """Robust pose graph: ((N, 4, 4) poses, (E,) edge residuals in standard deviations). `anchor` stays where it is.
+    Done where no pose moves by more than `tolerance` metres or radians.
 
     Gauss-Newton with Cauchy weights on the residual log(T_i_j^-1 T_i^-1 T_j) of an edge, its Jacobian to first order
     (exact where edges agree).
@@ -106,6 +107,7 @@ def optimise(T_world_camera: F64, edges: Sequence[Edge], anchor: int = 0) -> tup
         free=np.arange(6 * n) // 6 != anchor,
         damping=0,
         iterations=ITERATIONS,
+        tolerance=tolerance,
     )
     assert found is not None  # no state of this model is impossible
     return found.state, np.linalg.norm(found.residual.reshape(m, 6), axis=1)
