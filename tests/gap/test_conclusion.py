@@ -235,6 +235,17 @@ def test_a_weaker_servo_is_compared_with_load_friction(arm: Case) -> None:
     assert found.causes[0].candidate.effect == "stiffness_gain"
 
 
+def test_an_encoder_s_zero_is_compared_with_play(arm: Case) -> None:
+    """Play in a quadruped's calf, whose load seldom changes sign, was `identified` as its encoder's zero."""
+    loose = logged(arm, [("backlash", ("shoulder",), {"gap": 0.03})])
+    with fitting(loose, ("backlash", "joint_offset"), [0, 1, 2]) as its:
+        zero = next(c for c in its.screen.candidates if c.names == ("reading_offset",) and c.place == ("shoulder",))
+        fit = its.fit([Cause(zero, (0.015,))])
+        assert fit is not None
+        found, _, others = beside_imitations(its, fit, leave_out(its, fit), [], [])
+    assert "backlash" in [c.candidate.effect for f in (found, *others) for c in f.causes]
+
+
 def test_what_is_better_is_better_by_more_than_its_scatter(fitter: Fitter) -> None:
     screen, runs = fitter.screen, [0, 1, 2]
     nominal = [screen.comparison.residual(r, y) for r, y in zip(runs, screen.nominal, strict=True)]
