@@ -33,6 +33,7 @@ import multiprocessing
 import os
 import resource
 import shutil
+import signal
 import sys
 import tempfile
 import time
@@ -83,22 +84,15 @@ def attempt(kind: str, source: str, seed: int, number: int, work: Path) -> dict[
                 reading = READERS[kind](folder)
                 print(CommandResult(reading.shown).rendered(color=False))
         except BaseException as error:
-            text = traceback.format_exception(error)
-            return row | {
-                "outcome": "traceback",
-                "error": "".join(text)[-3000:],
-                "seconds": time.perf_counter() - began,
-            }
-        printed.seek(0)
-        shown = printed.read().decode("utf-8", "replace")
-    reading.said = [s.replace(str(folder), "") for s in reading.said]
-    row |= {
-        "found": reading.found,
-        "said": reading.said,
-        "refused": reading.refused,
-        "control": shown != printable(shown),
-        "shorter": only_left_out(work / "sources" / source, folder),
-    }
+            row |= {"outcome": "traceback", "error": "".join(traceback.format_exception(error))[-3000:]}
+        else:
+            printed.seek(0)
+            shown = printed.read().decode("utf-8", "replace")
+            row |= {
+                "found": reading.found, "said": [s.replace(str(folder), "") for s in reading.said],
+                "refused": reading.refused, "control": shown != printable(shown),
+                "shorter": only_left_out(work / "sources" / source, folder),
+            }  # fmt: skip
     return row | {"seconds": time.perf_counter() - began}
 
 
@@ -119,24 +113,21 @@ def to_file(file: IO[bytes]) -> Iterator[None]:
             os.close(old)
 
 
-def worker(pipe: Connection, work: Path, memory: int) -> None:
-    """Trials as they are asked for, one after the other."""
-    resource.setrlimit(resource.RLIMIT_DATA, (memory, memory))
+def worker(pipe: Connection, work: Path) -> None:
+    """Trials as they are asked for, one after the other, each within the limits: the system ends what exceeds them."""
+    resource.setrlimit(resource.RLIMIT_DATA, (MEMORY, MEMORY))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     with contextlib.suppress(EOFError):
         while True:
-            kind, source, seed, number = pipe.recv()
-            pipe.send(attempt(kind, source, seed, number, work))
+            trial = pipe.recv()
+            used = resource.getrusage(resource.RUSAGE_SELF)
+            most = int(used.ru_utime + used.ru_stime + SECONDS) + 1
+            resource.setrlimit(resource.RLIMIT_CPU, (most, resource.RLIM_INFINITY))
+            pipe.send(attempt(*trial, work))
 
 
-def cpu_seconds(process: int) -> float:
-    """What a process and its children that ended have used (Linux)."""
-    fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
-    return sum(map(int, fields[11:15])) / os.sysconf("SC_CLK_TCK")
-
-
-class Workers:
-    """One process at a time, replaced when it hangs or dies."""
+class Worker:
+    """A process for trials, replaced when it hangs or dies."""
 
     def __init__(self, work: Path) -> None:
         self.work = work
@@ -147,22 +138,22 @@ class Workers:
         if self.process is None:
             context = multiprocessing.get_context("spawn")
             self.pipe, other = context.Pipe()
-            self.process = context.Process(target=worker, args=(other, self.work, MEMORY), daemon=True)
+            self.process = context.Process(target=worker, args=(other, self.work), daemon=True)
             self.process.start()
             other.close()
-        row = {"kind": kind, "number": number, "source": source, "damage": "see --show"}
+        error = f"no end within {SECONDS:g} s of CPU or {WAITING:g} s"
         try:
             self.pipe.send((kind, source, seed, number))
-            began, used = time.monotonic(), cpu_seconds(self.process.pid)
-            while time.monotonic() < began + WAITING and cpu_seconds(self.process.pid) < used + SECONDS:
-                if self.pipe.poll(1.0):
-                    return self.pipe.recv()
-            outcome = {"outcome": "hang", "error": f"no end within {SECONDS:g} s of CPU or {WAITING:g} s"}
+            if self.pipe.poll(WAITING):
+                return self.pipe.recv()
+            outcome = "hang"
         except (EOFError, OSError):
             self.process.join(5)
-            outcome = {"outcome": "traceback", "error": f"the process died (exit code {self.process.exitcode})"}
+            outcome = "hang" if self.process.exitcode == -signal.SIGXCPU else "traceback"
+            error = error if outcome == "hang" else f"the process died (exit code {self.process.exitcode})"
         self.stop()
-        return row | outcome
+        row = {"kind": kind, "number": number, "source": source, "damage": "see --show"}
+        return row | {"outcome": outcome, "error": error}
 
     def stop(self) -> None:
         if self.process is not None:
@@ -220,7 +211,7 @@ def run(kinds: list[str], seed: int, trials: int | None, work: Path, again: bool
     for line in journal.read_text().splitlines() if journal.is_file() else ():
         row = json.loads(line)
         done[row["kind"], row["number"]] = row
-    workers, rows = Workers(work), []
+    process, rows = Worker(work), []
     for kind in kinds:
         names = build(kind, work)
         sound: dict[str, Any] = {}
@@ -229,17 +220,17 @@ def run(kinds: list[str], seed: int, trials: int | None, work: Path, again: bool
             if row is None or (again and row["outcome"] in AGAIN):
                 source = names[number % len(names)]
                 if source not in sound:
-                    sound[source] = workers.run(kind, source, seed, -1)
+                    sound[source] = process.run(kind, source, seed, -1)
                     if "outcome" in sound[source] or sound[source]["refused"]:
                         raise SystemExit(f"the sound example {source} is not read: {sound[source]}")
-                row = judge(workers.run(kind, source, seed, number), sound[source])
+                row = judge(process.run(kind, source, seed, number), sound[source])
                 with journal.open("a") as file:
                     file.write(json.dumps(row) + "\n")
                 if row["outcome"] in WRONG:
                     said = f"{row['outcome']}: {kind} {number}, {source}: {row['damage']}\n{row.get('error', '')}"
                     print(printable(said), flush=True)
             rows.append(row)
-    workers.stop()
+    process.stop()
     return rows
 
 

@@ -15,6 +15,7 @@ import io
 import json
 import tempfile
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -102,35 +103,79 @@ def swap(values: F64) -> F64:
 # ---------------------------------------------------------------- the forty
 
 
-def _csv(path: Path, header: str, make: Callable[[Log], Sequence[F64]], robot: str, **more: Any) -> Path:
-    return many(path, robot, lambda p, log: text(p.with_suffix(more.get("suffix", ".csv")), header, *make(log),
-                                                 **{k: v for k, v in more.items() if k != "suffix"}))  # fmt: skip
+Write = Callable[[Path, Log], Any]
+"""One run to a file whose suffix is still to be set."""
 
 
-def csv_german(p: Path) -> Path:
-    head = "millis,Ellbogen_soll [deg],Schulter_soll [deg],Ellbogen_ist [deg],Schulter_ist [deg],temp_C"
-    return _csv(p, head, lambda g: (jittered(g, 1e3), DEG * swap(g.command), DEG * swap(g.pos), g.time), "arm")
+def csv(header: str, columns: Callable[[Log], Sequence[F64]], suffix: str = ".csv", **more: Any) -> Write:
+    return lambda path, log: text(path.with_suffix(suffix), header, *columns(log), **more)
 
 
-def csv_french(p: Path) -> Path:
-    head = "temps (s);consigne épaule (rad);consigne coude (rad);mesure épaule (rad);mesure coude (rad)"
-    return _csv(p, head, lambda g: (g.time, g.command, g.pos), "arm", delimiter=";", comma=True)
+def lines(suffix: str, rows: Callable[[Log], Sequence[str]]) -> Write:
+    return lambda path, log: path.with_suffix(suffix).write_text("\n".join(rows(log)))
 
 
-def csv_shuffled(p: Path) -> Path:
-    head = "time,knee_cmd,hip_cmd,ankle_cmd,ankle_pos,hip_pos,knee_pos"
-    return _csv(p, head, lambda g: (g.time, g.command[:, [1, 0, 2]], g.pos[:, [2, 0, 1]]), "leg")
+def table(suffix: str, header: str, row: Callable[[float, Log, int], str]) -> Write:
+    """A table of text, a row a sample: (time, run, sample) -> its cells."""
+    return lines(suffix, lambda log: [header, *(row(t, log, i) for i, t in enumerate(log.time.tolist()))])
 
 
-def csv_plotjuggler(p: Path) -> Path:
-    head = "__time," + ",".join(
-        f"/joint_states/{n}/{s}" for s in ("position", "velocity", "effort") for n in NAMES["arm"]
-    )
-    head += ",/position_controller/commands/data[0],/position_controller/commands/data[1]"
-    return _csv(p, head, lambda g: (g.time + 1.7e9, g.pos, g.vel, g.torque, g.command), "arm")
+def jsons(suffix: str, items: Callable[[Log], Sequence[Any]]) -> Write:
+    return lines(suffix, lambda log: [json.dumps(item) for item in items(log)])
 
 
-def csv_rostopic(p: Path) -> Path:
+def npz(arrays: Callable[[Log], dict[str, Any]]) -> Write:
+    return lambda path, log: np.savez(path, **arrays(log))
+
+
+def parquet(columns: Callable[[Log], dict[str, Any]]) -> Write:
+    def write(path: Path, log: Log) -> None:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        pq.write_table(pa.table(columns(log)), path.with_suffix(".parquet"))
+
+    return write
+
+
+def mcap(messages: Callable[[Log], list[Any]]) -> Write:
+    return lambda path, log: _mcap(path, messages(log))
+
+
+def _mcap(path: Path, messages: list[Any]) -> Path:
+    return writers.mcap_ros2(path.with_suffix(".mcap"), sorted(messages, key=lambda m: m[3]))
+
+
+def mcap_json(names: Sequence[str]) -> Write:
+    def write(path: Path, log: Log) -> None:
+        from mcap.writer import Writer
+
+        with path.with_suffix(".mcap").open("wb") as file:
+            writer = Writer(file)
+            writer.start()
+            schema = writer.register_schema("joints", "jsonschema", b'{"type": "object"}')
+            state, sent = (writer.register_channel(t, "json", schema) for t in ("/joint_states", "/joint_targets"))
+            for i, t in enumerate(log.time):
+                nanoseconds = round(1e9 * (t + 1.7e9))
+                for channel, key, row in ((state, "position", log.pos[i]), (sent, "position", log.command[i])):
+                    data = json.dumps({"name": list(names), key: row.tolist()}).encode()
+                    writer.add_message(channel, log_time=nanoseconds, publish_time=nanoseconds, data=data)
+            writer.finish()
+
+    return write
+
+
+def ros1(names: Sequence[str]) -> Write:
+    return lambda path, log: writers.bag(path.with_suffix(".bag"), log, names, 1)
+
+
+def servo_ulog(path: Path, log: Log) -> None:
+    sides = (("position", log.pos), ("position_setpoint", log.command))
+    columns = {f"{side}_{k}": values[:, k] for side, values in sides for k in range(2)}
+    writers.ulog(path.with_suffix(".ulg"), log.time + 3, "servo_status", columns)
+
+
+def rostopic(p: Path) -> Path:
     """`rostopic echo -p`: a file for each topic."""
     p.mkdir(parents=True)
     log = drive("leg", 0)
@@ -141,36 +186,7 @@ def csv_rostopic(p: Path) -> Path:
     return p
 
 
-def csv_arduino(p: Path) -> Path:
-    head = "micros,target1,target2,actual1,actual2,pwm1,pwm2"
-    return _csv(p, head, lambda g: (jittered(g, 1e6), DEG * g.command, DEG * g.pos, 10 * g.torque), "arm")
-
-
-def csv_headless(p: Path) -> Path:
-    return _csv(p, "", lambda g: (g.time, g.pos, g.vel, g.command), "leg")
-
-
-def csv_units_row(p: Path) -> Path:
-    head = "Prüfstand A;2026-11-10\n\nZeit;Hüfte Soll;Knie Soll;Sprunggelenk Soll;Hüfte Ist;Knie Ist;Sprunggelenk Ist\n"
-    head += "ms;°;°;°;°;°;°"
-    return _csv(
-        p, head, lambda g: (1e3 * g.time, DEG * g.command, DEG * g.pos), "leg", delimiter=";", encoding="cp1252"
-    )
-
-
-def csv_ticks(p: Path) -> Path:
-    head = "timestamp," + ",".join(f"id{k}_{s}" for s in ("goal_position", "present_position") for k in (1, 2, 3))
-    tick = 4096 / (2 * np.pi)
-    return _csv(p, head, lambda g: (g.time, np.round(2048 + tick * g.command), np.round(2048 + tick * g.pos)), "leg")
-
-
-def csv_torques(p: Path) -> Path:
-    head = "time,pos_meas1,pos_meas2,pos_filt1,pos_filt2,tau_con1,tau_con2,tau_fric1,tau_fric2,tau_meas1,tau_meas2,"
-    return _csv(p, head + "pos_des1,pos_des2", lambda g: (
-        g.time, g.pos, 0.97 * g.pos, 1.3 * g.torque + 1, 0.2 * np.sign(g.vel), g.torque, g.command), "arm")  # fmt: skip
-
-
-def csv_files(p: Path) -> Path:
+def file_a_side(p: Path) -> Path:
     """A folder for each run, a file for each side."""
     for k in range(2):
         (p / f"motion_{k}").mkdir(parents=True)
@@ -186,261 +202,135 @@ def csv_files(p: Path) -> Path:
     return p
 
 
-def csv_pandas(p: Path) -> Path:
-    def write(path: Path, log: Log) -> None:
-        rows = [",".join(["", "TimeStamp", "shoulder_target", "elbow_target", "shoulder_angle", "elbow_angle"])]
-        for i, t in enumerate(log.time):
-            values = ",".join(f"{DEG * v:.5f}" for v in (*log.command[i], *log.pos[i]))
-            rows.append(f"{i},2026-11-10 12:30:{t:09.6f},{values}")
-        path.with_suffix(".csv").write_text("\n".join(rows))
-
-    return many(p, "arm", write)
-
-
-def csv_spanish(p: Path) -> Path:
-    head = "Tiempo [s];Rodilla deseada [°];Cadera deseada [°];Tobillo deseada [°];"
-    head += "Rodilla medida [°];Cadera medida [°];Tobillo medida [°]"
-    order = [1, 0, 2]
-    return _csv(p, head, lambda g: (g.time, DEG * g.command[:, order], DEG * g.pos[:, order]), "leg", delimiter=";")
-
-
-def csv_lists(p: Path) -> Path:
-    def write(path: Path, log: Log) -> None:
-        rows = ["timestamp,action,state"]
-        for i, t in enumerate(log.time):
-            rows.append(f'{t:.4f},"{log.command[i].tolist()}","{log.pos[i].tolist()}"')
-        path.with_suffix(".csv").write_text("\n".join(rows))
-
-    return many(p, "arm", write)
-
-
-def csv_chinese(p: Path) -> Path:
-    return _csv(
-        p, "时间,肘目标角度,肩目标角度,肘实际角度,肩实际角度", lambda g: (g.time, swap(g.command), swap(g.pos)), "arm"
-    )
-
-
-def tsv_labview(p: Path) -> Path:
-    head = "Zeit [s]\t" + "\t".join(
-        f"{j} {s} [°]" for s in ("Sollwinkel", "Istwinkel") for j in ("Knöchel", "Knie", "Hüfte")
-    )
-    return _csv(
-        p, head, lambda g: (g.time, DEG * swap(g.command), DEG * swap(g.pos)), "leg", delimiter="\t", suffix=".tsv"
-    )
-
-
-def txt_savetxt(p: Path) -> Path:
-    head = "# t q1 q2 qd1 qd2 tau1 tau2 qref1 qref2"
-    return _csv(p, head, lambda g: (g.time, g.pos, g.vel, g.torque, g.command), "arm", delimiter=" ", suffix=".txt")
-
-
-def tsv_mixed_units(p: Path) -> Path:
-    head = "elapsed_ms\tq_cmd_0 (deg)\tq_cmd_1 (deg)\tq_0 (rad)\tq_1 (rad)\tdq_0 (rpm)\tdq_1 (rpm)"
-    return _csv(
-        p,
-        head,
-        lambda g: (1e3 * g.time, DEG * g.command, g.pos, 30 / np.pi * g.vel),
-        "arm",
-        delimiter="\t",
-        suffix=".tsv",
-    )
-
-
-def _mcap(path: Path, messages: list[Any]) -> Path:
-    return writers.mcap_ros2(path.with_suffix(".mcap"), sorted(messages, key=lambda m: m[3]))
-
-
-def mcap_other_order(p: Path) -> Path:
-    """JointState in alphabetical order, the controller's commands in that of its yaml."""
-
-    def write(path: Path, log: Log) -> None:
-        state = writers.joint_states(log, NAMES["arm"], order=[1, 0])
-        _mcap(path, state + writers.float_commands(log, topic="/forward_position_controller/commands"))
-
-    return many(p, "arm", write)
-
-
-def mcap_leg_order(p: Path) -> Path:
-    def write(path: Path, log: Log) -> None:
-        sent = Log(log.time, log.command[:, [2, 0, 1]], log.pos, log.vel, log.torque)
-        _mcap(path, writers.joint_states(log, NAMES["leg"]) + writers.float_commands(sent))
-
-    return many(p, "leg", write)
-
-
-def mcap_boot_clock(p: Path) -> Path:
-    def write(path: Path, log: Log) -> None:
-        state = writers.joint_states(log, NAMES["leg"], offset=1.69e9, drift=5e-5)
-        _mcap(path, state + writers.float_commands(log, offset=1.69e9))
-
-    return many(p, "leg", write)
-
-
-def mcap_named_commands(p: Path) -> Path:
-    def write(path: Path, log: Log) -> None:
-        sent = Log(log.time, log.command, log.command, 0 * log.vel, 0 * log.torque)
-        _mcap(path, writers.joint_states(log, NAMES["arm"]) + writers.joint_states(
-            sent, NAMES["arm"], topic="/joint_commands", order=[1, 0]))  # fmt: skip
-
-    return many(p, "arm", write)
-
-
-def _mcap_json(path: Path, log: Log, names: Sequence[str]) -> None:
-    from mcap.writer import Writer
-
-    with path.with_suffix(".mcap").open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        schema = writer.register_schema("joints", "jsonschema", b'{"type": "object"}')
-        state, sent = (writer.register_channel(t, "json", schema) for t in ("/joint_states", "/joint_targets"))
-        for i, t in enumerate(log.time):
-            nanoseconds = round(1e9 * (t + 1.7e9))
-            for channel, key, row in ((state, "position", log.pos[i]), (sent, "position", log.command[i])):
-                data = json.dumps({"name": list(names), key: row.tolist()}).encode()
-                writer.add_message(channel, log_time=nanoseconds, publish_time=nanoseconds, data=data)
-        writer.finish()
-
-
-def mcap_json_arm(p: Path) -> Path:
-    return many(p, "arm", lambda path, log: _mcap_json(path, log, NAMES["arm"]))
-
-
-def mcap_json_leg(p: Path) -> Path:
-    return many(p, "leg", lambda path, log: _mcap_json(path, log, NAMES["leg"]))
-
-
-def bag_ros1_arm(p: Path) -> Path:
-    return many(p, "arm", lambda path, log: writers.bag(path.with_suffix(".bag"), log, NAMES["arm"], 1))
-
-
-def bag_ros1_leg(p: Path) -> Path:
-    return many(p, "leg", lambda path, log: writers.bag(path.with_suffix(".bag"), log, NAMES["leg"], 1))
-
-
-def bag_ros2_arm(p: Path) -> Path:
-    return writers.bag(p, drive("arm", 0), NAMES["arm"], 2)
-
-
-def bag_ros2_leg(p: Path) -> Path:
-    return writers.bag(p, drive("leg", 0), NAMES["leg"], 2)
-
-
-def npz_short(p: Path) -> Path:
-    return many(p, "arm", lambda f, g: np.savez(f, t=g.time, q=g.pos, qd=g.vel, q_des=g.command, tau=g.torque))
-
-
-def npz_isaac(p: Path) -> Path:
-    return many(p, "leg", lambda f, g: np.savez(f, time=g.time, dof_pos=g.pos, dof_vel=g.vel, dof_pos_target=g.command,
-                                                joint_names=np.array(NAMES["leg"])))  # fmt: skip
-
-
-def npz_table(p: Path) -> Path:
-    cols = np.array(["timestamp_us", "pos0", "pos1", "ref0", "ref1"])
-    return many(p, "arm", lambda f, g: np.savez(f, data=np.column_stack([1e6 * g.time, g.pos, g.command]), cols=cols))
-
-
-def npz_desired_qd(p: Path) -> Path:
-    """qd is the desired position here, dq the velocity."""
-    return many(p, "leg", lambda f, g: np.savez(f, t=g.time, q=g.pos, dq=g.vel, qd=g.command))
-
-
-def _parquet(path: Path, columns: dict[str, Any]) -> None:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    pq.write_table(pa.table(columns), path.with_suffix(".parquet"))
-
-
-def parquet_wide(p: Path) -> Path:
-    return many(p, "arm", lambda f, g: _parquet(f, {
-        "log_time": g.time, "elbow.goal": DEG * g.command[:, 1], "shoulder.goal": DEG * g.command[:, 0],
-        "elbow.pos": DEG * g.pos[:, 1], "shoulder.pos": DEG * g.pos[:, 0]}))  # fmt: skip
-
-
-def parquet_lists(p: Path) -> Path:
-    return many(p, "leg", lambda f, g: _parquet(f, {
-        "timestamp": g.time, "observation.state": g.pos.tolist(), "action": g.command.tolist()}))  # fmt: skip
-
-
-def parquet_italian(p: Path) -> Path:
-    return many(p, "arm", lambda f, g: _parquet(f, {
-        "Tempo": g.time, "Gomito riferimento": g.command[:, 1], "Spalla riferimento": g.command[:, 0],
-        "Gomito misurato": g.pos[:, 1], "Spalla misurato": g.pos[:, 0]}))  # fmt: skip
-
-
-def _lines(path: Path, items: Sequence[Any]) -> None:
-    path.with_suffix(".jsonl").write_text("\n".join(json.dumps(i) for i in items))
-
-
-def jsonl_nested(p: Path) -> Path:
-    return many(p, "arm", lambda f, g: _lines(f, [
-        {"t": t, "joints": {n: {"pos": g.pos[i, k], "cmd": g.command[i, k]} for k, n in enumerate(NAMES["arm"])}}
-        for i, t in enumerate(g.time.tolist())]))  # fmt: skip
-
-
-def jsonl_topics(p: Path) -> Path:
-    def write(path: Path, log: Log) -> None:
-        items: list[Any] = []
-        for i, t in enumerate(log.time.tolist()):
-            items.append({"topic": "/target", "ts": 1e3 * t, "q": log.command[i].tolist()})
-            items.append({"topic": "/feedback", "ts": 1e3 * t + 1, "q": log.pos[i].tolist()})
-        _lines(path, items)
-
-    return many(p, "leg", write)
-
-
-def json_entries(p: Path) -> Path:
-    return many(p, "arm", lambda f, g: f.with_suffix(".json").write_text(json.dumps({"kp": 32, "entries": [
-        {"timestamp": t, "goal_position": g.command[i].tolist(), "position": g.pos[i].tolist(),
-         "speed": g.vel[i].tolist()} for i, t in enumerate(g.time.tolist())]})))  # fmt: skip
-
-
-def json_columns(p: Path) -> Path:
-    def write(path: Path, log: Log) -> None:
-        columns = {"uptime_ms": (1e3 * log.time).tolist()}
-        for k, name in enumerate(("hip", "knee", "ankle")):
-            columns |= {f"{name}_ref": log.command[:, k].tolist(), f"{name}_fbk": log.pos[:, k].tolist()}
-        path.with_suffix(".json").write_text(json.dumps(columns))
-
-    return many(p, "leg", write)
-
-
-def lerobot_arm(p: Path) -> Path:
-    return writers.lerobot(p, [drive("arm", k) for k in range(3)], ["shoulder", "elbow"])
-
-
-def lerobot_leg(p: Path) -> Path:
-    return writers.lerobot(p, [drive("leg", k) for k in range(3)], NAMES["leg"])
-
-
-def ulog_servo(p: Path) -> Path:
-    def write(path: Path, log: Log) -> None:
-        columns = {
-            f"{s}[{k}]": v[:, k]
-            for s, v in (("position", log.pos), ("position_setpoint", log.command))
-            for k in range(2)
-        }
-        writers.ulog(
-            path.with_suffix(".ulg"),
-            log.time + 3,
-            "servo_status",
-            {n.replace("[", "_").rstrip("]"): v for n, v in columns.items()},
-        )
-
-    return many(p, "arm", write)
-
-
-FORTY: dict[str, tuple[str, Callable[[Path], Path]]] = {
-    f.__name__: (robot, f) for robot, made in {
-        "arm": (csv_german, csv_french, csv_plotjuggler, csv_arduino, csv_torques, csv_pandas, csv_lists, csv_chinese,
-                txt_savetxt, tsv_mixed_units, mcap_other_order, mcap_named_commands, mcap_json_arm, bag_ros1_arm,
-                bag_ros2_arm, npz_short, npz_table, parquet_wide, parquet_italian, jsonl_nested, json_entries,
-                lerobot_arm, ulog_servo),
-        "leg": (csv_shuffled, csv_rostopic, csv_headless, csv_units_row, csv_ticks, csv_files, csv_spanish, tsv_labview,
-                mcap_leg_order, mcap_boot_clock, mcap_json_leg, bag_ros1_leg, bag_ros2_leg, npz_isaac, npz_desired_qd,
-                parquet_lists, jsonl_topics, json_columns, lerobot_leg),
-    }.items() for f in made
+def command_alone(log: Log, order: Sequence[int] | None = None) -> Log:
+    """A run whose state is another's command, or whose commands stand in another order."""
+    if order is None:
+        return Log(log.time, log.command, log.command, 0 * log.vel, 0 * log.torque)
+    return Log(log.time, log.command[:, order], log.pos, log.vel, log.torque)
+
+
+def topics_apart(log: Log) -> list[Any]:
+    return [item for i, t in enumerate(log.time.tolist()) for item in (
+        {"topic": "/target", "ts": 1e3 * t, "q": log.command[i].tolist()},
+        {"topic": "/feedback", "ts": 1e3 * t + 1, "q": log.pos[i].tolist()})]  # fmt: skip
+
+
+def columns_of(log: Log) -> dict[str, Any]:
+    sides = {"ref": log.command, "fbk": log.pos}
+    named = {f"{j}_{s}": v[:, k].tolist() for k, j in enumerate(("hip", "knee", "ankle")) for s, v in sides.items()}
+    return {"uptime_ms": (1e3 * log.time).tolist(), **named}
+
+
+ARMS, LEGS, TICK = NAMES["arm"], NAMES["leg"], 4096 / (2 * np.pi)
+RUNS: dict[str, dict[str, Write]] = {
+    "arm": {
+        "csv_german": csv(
+            "millis,Ellbogen_soll [deg],Schulter_soll [deg],Ellbogen_ist [deg],Schulter_ist [deg],temp_C",
+            lambda g: (jittered(g, 1e3), DEG * swap(g.command), DEG * swap(g.pos), g.time)),
+        "csv_french": csv(
+            "temps (s);consigne épaule (rad);consigne coude (rad);mesure épaule (rad);mesure coude (rad)",
+            lambda g: (g.time, g.command, g.pos), delimiter=";", comma=True),
+        "csv_plotjuggler": csv(
+            "__time," + ",".join(f"/joint_states/{n}/{s}" for s in ("position", "velocity", "effort") for n in ARMS)
+            + ",/position_controller/commands/data[0],/position_controller/commands/data[1]",
+            lambda g: (g.time + 1.7e9, g.pos, g.vel, g.torque, g.command)),
+        "csv_arduino": csv(
+            "micros,target1,target2,actual1,actual2,pwm1,pwm2",
+            lambda g: (jittered(g, 1e6), DEG * g.command, DEG * g.pos, 10 * g.torque)),
+        "csv_torques": csv(
+            "time,pos_meas1,pos_meas2,pos_filt1,pos_filt2,tau_con1,tau_con2,tau_fric1,tau_fric2,tau_meas1,tau_meas2,"
+            "pos_des1,pos_des2",
+            lambda g: (g.time, g.pos, 0.97 * g.pos, 1.3 * g.torque + 1, 0.2 * np.sign(g.vel), g.torque, g.command)),
+        "csv_pandas": table(
+            ".csv", ",TimeStamp,shoulder_target,elbow_target,shoulder_angle,elbow_angle",
+            lambda t, g, i: f"{i},2026-11-10 12:30:{t:09.6f},"
+            + ",".join(f"{DEG * v:.5f}" for v in (*g.command[i], *g.pos[i]))),
+        "csv_lists": table(
+            ".csv", "timestamp,action,state",
+            lambda t, g, i: f'{t:.4f},"{g.command[i].tolist()}","{g.pos[i].tolist()}"'),
+        "csv_chinese": csv(
+            "时间,肘目标角度,肩目标角度,肘实际角度,肩实际角度", lambda g: (g.time, swap(g.command), swap(g.pos))),
+        "txt_savetxt": csv(
+            "# t q1 q2 qd1 qd2 tau1 tau2 qref1 qref2",
+            lambda g: (g.time, g.pos, g.vel, g.torque, g.command), ".txt", delimiter=" "),
+        "tsv_mixed_units": csv(
+            "elapsed_ms\tq_cmd_0 (deg)\tq_cmd_1 (deg)\tq_0 (rad)\tq_1 (rad)\tdq_0 (rpm)\tdq_1 (rpm)",
+            lambda g: (1e3 * g.time, DEG * g.command, g.pos, 30 / np.pi * g.vel), ".tsv", delimiter="\t"),
+        # JointState in alphabetical order, the controller's commands in that of its yaml:
+        "mcap_other_order": mcap(
+            lambda g: writers.joint_states(g, ARMS, order=[1, 0])
+            + writers.float_commands(g, topic="/forward_position_controller/commands")),
+        "mcap_named_commands": mcap(
+            lambda g: writers.joint_states(g, ARMS)
+            + writers.joint_states(command_alone(g), ARMS, topic="/joint_commands", order=[1, 0])),
+        "mcap_json_arm": mcap_json(ARMS),
+        "bag_ros1_arm": ros1(ARMS),
+        "npz_short": npz(lambda g: {"t": g.time, "q": g.pos, "qd": g.vel, "q_des": g.command, "tau": g.torque}),
+        "npz_table": npz(
+            lambda g: {"data": np.column_stack([1e6 * g.time, g.pos, g.command]),
+                       "cols": np.array(["timestamp_us", "pos0", "pos1", "ref0", "ref1"])}),
+        "parquet_wide": parquet(
+            lambda g: {"log_time": g.time, "elbow.goal": DEG * g.command[:, 1], "shoulder.goal": DEG * g.command[:, 0],
+                       "elbow.pos": DEG * g.pos[:, 1], "shoulder.pos": DEG * g.pos[:, 0]}),
+        "parquet_italian": parquet(
+            lambda g: {"Tempo": g.time, "Gomito riferimento": g.command[:, 1], "Spalla riferimento": g.command[:, 0],
+                       "Gomito misurato": g.pos[:, 1], "Spalla misurato": g.pos[:, 0]}),
+        "jsonl_nested": jsons(".jsonl", lambda g: [
+            {"t": t, "joints": {n: {"pos": g.pos[i, k], "cmd": g.command[i, k]} for k, n in enumerate(ARMS)}}
+            for i, t in enumerate(g.time.tolist())]),
+        "json_entries": jsons(".json", lambda g: [{"kp": 32, "entries": [
+            {"timestamp": t, "goal_position": g.command[i].tolist(), "position": g.pos[i].tolist(),
+             "speed": g.vel[i].tolist()} for i, t in enumerate(g.time.tolist())]}]),
+        "ulog_servo": servo_ulog,
+    },
+    "leg": {
+        "csv_shuffled": csv(
+            "time,knee_cmd,hip_cmd,ankle_cmd,ankle_pos,hip_pos,knee_pos",
+            lambda g: (g.time, g.command[:, [1, 0, 2]], g.pos[:, [2, 0, 1]])),
+        "csv_headless": csv("", lambda g: (g.time, g.pos, g.vel, g.command)),
+        "csv_units_row": csv(
+            "Prüfstand A;2026-11-10\n\nZeit;Hüfte Soll;Knie Soll;Sprunggelenk Soll;"
+            "Hüfte Ist;Knie Ist;Sprunggelenk Ist\nms;°;°;°;°;°;°",
+            lambda g: (1e3 * g.time, DEG * g.command, DEG * g.pos), delimiter=";", encoding="cp1252"),
+        "csv_ticks": csv(
+            "timestamp," + ",".join(f"id{k}_{s}" for s in ("goal_position", "present_position") for k in (1, 2, 3)),
+            lambda g: (g.time, np.round(2048 + TICK * g.command), np.round(2048 + TICK * g.pos))),
+        "csv_spanish": csv(
+            "Tiempo [s];Rodilla deseada [°];Cadera deseada [°];Tobillo deseada [°];"
+            "Rodilla medida [°];Cadera medida [°];Tobillo medida [°]",
+            lambda g: (g.time, DEG * g.command[:, [1, 0, 2]], DEG * g.pos[:, [1, 0, 2]]), delimiter=";"),
+        "tsv_labview": csv(
+            "Zeit [s]\t" + "\t".join(
+                f"{j} {s} [°]" for s in ("Sollwinkel", "Istwinkel") for j in ("Knöchel", "Knie", "Hüfte")),
+            lambda g: (g.time, DEG * swap(g.command), DEG * swap(g.pos)), ".tsv", delimiter="\t"),
+        "mcap_leg_order": mcap(
+            lambda g: writers.joint_states(g, LEGS) + writers.float_commands(command_alone(g, [2, 0, 1]))),
+        "mcap_boot_clock": mcap(
+            lambda g: writers.joint_states(g, LEGS, offset=1.69e9, drift=5e-5)
+            + writers.float_commands(g, offset=1.69e9)),
+        "mcap_json_leg": mcap_json(LEGS),
+        "bag_ros1_leg": ros1(LEGS),
+        "npz_isaac": npz(
+            lambda g: {"time": g.time, "dof_pos": g.pos, "dof_vel": g.vel, "dof_pos_target": g.command,
+                       "joint_names": np.array(LEGS)}),
+        # qd is the desired position here, dq the velocity:
+        "npz_desired_qd": npz(lambda g: {"t": g.time, "q": g.pos, "dq": g.vel, "qd": g.command}),
+        "parquet_lists": parquet(
+            lambda g: {"timestamp": g.time, "observation.state": g.pos.tolist(), "action": g.command.tolist()}),
+        "jsonl_topics": jsons(".jsonl", topics_apart),
+        "json_columns": jsons(".json", lambda g: [columns_of(g)]),
+    },
 }  # fmt: skip
+"""Robot -> recording -> what writes each of its three runs."""
+FORTY: dict[str, tuple[str, Callable[[Path], Path]]] = {
+    **{n: (robot, partial(many, robot=robot, write=w)) for robot, made in RUNS.items() for n, w in made.items()},
+    "bag_ros2_arm": ("arm", lambda p: writers.bag(p, drive("arm", 0), ARMS, 2)),
+    "bag_ros2_leg": ("leg", lambda p: writers.bag(p, drive("leg", 0), LEGS, 2)),
+    "lerobot_arm": ("arm", lambda p: writers.lerobot(p, [drive("arm", k) for k in range(3)], ["shoulder", "elbow"])),
+    "lerobot_leg": ("leg", lambda p: writers.lerobot(p, [drive("leg", k) for k in range(3)], LEGS)),
+    "csv_rostopic": ("leg", rostopic),
+    "csv_files": ("leg", file_a_side),
+}
 
 
 # ---------------------------------------------------------------- what came of them
@@ -485,15 +375,12 @@ def _apart(time: F64, values: F64, true_time: F64, real: F64) -> float:
 
 def attempt(name: str, robot: str, write: Callable[[Path], Path], folder: Path) -> dict[str, Any]:
     """One recording written, read and judged."""
-    source = write(folder / name)
+    source, doubt = write(folder / name), list[str]()
     try:
         proposal = propose(read(source), load_target_of(robot))
-    except RealsimError as error:
-        return {"name": name, "outcome": "refused", "why": error.message, "doubt": []}
-    doubt = [r for r, a in proposal.assignments.items() if a.doubtful]
-    if not proposal.complete:
-        return {"name": name, "outcome": "not found", "why": "; ".join(proposal.missing[:2]), "doubt": doubt}
-    try:
+        doubt += [r for r, a in proposal.assignments.items() if a.doubtful]
+        if not proposal.complete:
+            return {"name": name, "outcome": "not found", "why": "; ".join(proposal.missing[:2]), "doubt": doubt}
         right, why = judge(proposal, robot)
     except RealsimError as error:
         return {"name": name, "outcome": "refused", "why": error.message, "doubt": doubt}
