@@ -305,15 +305,14 @@ def footholds(
     """
     check_mujoco()
     from realsim import gap
-    from realsim.gap.checks.camera.terrain import load_terrain
-    from realsim.gap.checks.footholds.run import check_scene, run_scene, terrain_of_case
+    from realsim.gap.checks.footholds.run import check_scene, run_scene, terrain_under
 
     where = None if scene is None else Path(scene)
     if out is not None:
         folder = case.folder if isinstance(case, gap.Case) else Path(case)
         return run_scene(folder, where, Path(out), progress, overwrite=overwrite)
     loaded = case if isinstance(case, gap.Case) else gap.load_case(Path(case))
-    return check_scene(loaded, terrain_of_case(loaded) if where is None else load_terrain(where), progress).as_dict()
+    return check_scene(loaded, terrain_under(loaded, where), progress).as_dict()
 
 
 def load_diagnosis(folder: StrPath) -> Diagnosis:

@@ -18,6 +18,7 @@ import numpy as np
 from realsim.core.errors import RealsimError
 from realsim.core.files import edited_files, read_json
 from realsim.core.notebook import bars, table
+from realsim.core.statistics import Interval
 from realsim.gap.verdicts import GapVerdict
 
 __all__ = [
@@ -46,19 +47,6 @@ class SceneVerdict(StrEnum):
     def usable(self) -> bool:
         """False where the report says not to train or test on the scene."""
         return self is not SceneVerdict.BAD
-
-
-@dataclass(frozen=True)
-class Interval:
-    """A value with its 90 percent interval."""
-
-    value: float
-    low: float
-    high: float
-    unit: str = ""
-
-    def __str__(self) -> str:
-        return f"{self.value:.3g} [{self.low:.3g}, {self.high:.3g}] {self.unit}".rstrip()
 
 
 # ---------------------------------------------------------------- scenes

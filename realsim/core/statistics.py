@@ -5,6 +5,9 @@ The bootstrap (Efron 1979) draws whole units: frames, blocks of ground, half sec
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,6 +15,28 @@ F64 = NDArray[np.float64]
 
 Z90 = 1.6449
 """Standard deviations of a Gaussian from its middle to either end of a 90 percent interval."""
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A value with its 90 percent interval."""
+
+    value: float
+    low: float
+    high: float
+    unit: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.text('.3g')} {self.unit}".rstrip()
+
+    def text(self, form: str, scale: float = 1.0, unit: str = "") -> str:
+        """`1.9 N m [1.6, 2.2]`: each number times `scale` in a format; the ends never with a plus sign."""
+        low, high = (f"{scale * v:{form.lstrip('+')}}" for v in (self.low, self.high))
+        return f"{scale * self.value:{form}}{unit} [{low}, {high}]"
+
+    def as_dict(self) -> dict[str, Any]:
+        """As diagnosis.json and footholds.json have it."""
+        return {"value": self.value, "unit": self.unit, "ci90": [self.low, self.high]}
 
 
 def resampled(values: F64, resamples: int, seed: int) -> F64:

@@ -15,7 +15,7 @@ from realsim.gap.answer.horizons import only_in_long_replays
 from realsim.gap.case.case import Case, load_case
 from realsim.gap.checks.contract import check, load_policy, read_steps
 from realsim.gap.checks.contract.settings import setting
-from realsim.gap.checks.footholds.run import check_camera, check_scene, terrain_of_case
+from realsim.gap.checks.footholds.run import check_camera, check_scene, terrain_under
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.effects import EFFECTS
 from realsim.gap.pipeline import Progress, diagnose
@@ -138,10 +138,8 @@ def _camera(case: Case, scene: Path | None) -> Part:
 
 
 def _terrain(case: Case, scene: Path | None) -> Part:
-    from realsim.gap.checks.camera.terrain import load_terrain
-
     try:
-        found = check_scene(case, load_terrain(scene) if scene is not None else terrain_of_case(case)).verdict
+        found = check_scene(case, terrain_under(case, scene)).verdict
     except RealsimError as error:
         return Part("terrain", None, error.render())
     corrected = "train on the corrected scene.xml of realsim footholds"

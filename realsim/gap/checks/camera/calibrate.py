@@ -20,10 +20,10 @@ from scipy.spatial.transform import Rotation
 
 from realsim.core.errors import GapError
 from realsim.core.least_squares import Minimum, least_squares
-from realsim.core.statistics import Z90
+from realsim.core.statistics import Z90, Interval
 from realsim.core.types import F64
 from realsim.gap.case.case import Case, Run
-from realsim.gap.checks.camera.mixed import bayes
+from realsim.gap.checks.camera.mixed import EVIDENCE, bayes
 from realsim.gap.checks.camera.rays import Correction, Mount, View
 from realsim.gap.checks.camera.recorded import DepthCamera, depth_camera, read_frames
 from realsim.gap.checks.camera.terrain import Terrain
@@ -52,8 +52,6 @@ OF_ALL = np.array([1e-5, 1e-5, 0.0007, 0.0033, 0.0033, 1e-5])
 the same gait, and an IMU sits as askew in each. More crossings do not tell it from a turned camera. This and the line
 above: measured against the true pose on terrains 60 to 71 of tests/truths/crossings.py (0.22 and 0.15 degrees in
 common, 0.03 and 0.02 of each run)."""
-EVIDENCE = 3.0
-"""Log-odds from which an effect is named, less the penalty for having tested this many."""
 NOISIER = 1.3
 """Ratio beyond which, with its interval, noise is more than the everyday spread of such cameras."""
 SCAN = 0.002
@@ -73,19 +71,24 @@ KINDS = (
 """Effect and parameters that are compared with everyday deviations: alone, and together where data know only a mix."""
 
 
+AXES = "xyz"
+"""Of the camera: right, down, forward."""
+PARAMETERS = {
+    DELAY.name: {"delay": "s"},
+    MOUNT.name: {f"{what}_{axis}": unit for axis in AXES for what, unit in (("turn", "rad"), ("shift", "m"))},
+    NOISE.name: {"ratio": "ratio"},
+}
+"""Effect -> its parameters with their units: turns about the camera's axes, shifts along them, and the noise as a ratio
+to what log.json says."""
+
+
 @dataclass(frozen=True)
 class CameraFound:
-    """What recorded depth says of its camera. Values are (value, low, high) with 90 percent intervals."""
+    """What recorded depth says of its camera."""
 
     camera: str
-    delay: tuple[float, float, float]
-    """s"""
-    turn: tuple[tuple[float, float, float], ...]
-    """rad about the camera's x (right), y (down), z (forward) axes."""
-    shift: tuple[tuple[float, float, float], ...]
-    """m along them."""
-    noise: tuple[float, float, float] | None
-    """Ratio to what log.json says; None where it says nothing."""
+    quantities: dict[str, Interval]
+    """Parameter -> its value; without `ratio` where log.json says nothing of noise."""
     named: dict[str, float]
     """Effect -> its log-odds, of those beyond everyday deviations."""
     before: float
@@ -95,52 +98,45 @@ class CameraFound:
     pixels: int
     notes: tuple[str, ...] = field(default=())
 
+    def along(self, what: str) -> list[Interval]:
+        """`turn` or `shift` for each axis."""
+        return [self.quantities[f"{what}_{axis}"] for axis in AXES]
+
     def causes(self) -> list[dict[str, Any]]:
         """The effects that were named, in the form of diagnosis.json."""
-        found = []
-        for name in self.named:
-            if name == DELAY.name:
-                parameters = {"delay": _parameter(self.delay, "s")}
-            elif name == MOUNT.name:
-                axes = zip("xyz", self.turn, self.shift, strict=True)
-                parameters = {}
-                for axis, turned, moved in axes:
-                    parameters |= {f"turn_{axis}": _parameter(turned, "rad"), f"shift_{axis}": _parameter(moved, "m")}
-            else:
-                assert self.noise is not None
-                parameters = {"ratio": _parameter(self.noise, "ratio")}
-            found.append({"effect": name, "parameters": parameters, "probability": None})
-        return found
+        return [
+            {"effect": name, "parameters": {k: self.quantities[k].as_dict() for k in PARAMETERS[name]},
+             "probability": None}
+            for name in self.named
+        ]  # fmt: skip
 
     def as_dict(self) -> dict[str, Any]:
+        def listed(q: Interval | None) -> list[float] | None:
+            return None if q is None else [q.value, q.low, q.high]
+
         return {
-            "camera": self.camera, "named": self.named, "delay_s": list(self.delay),
-            "turn_rad": [list(v) for v in self.turn], "shift_m": [list(v) for v in self.shift],
-            "noise_ratio": None if self.noise is None else list(self.noise), "residual_before_m": self.before,
+            "camera": self.camera, "named": self.named, "delay_s": listed(self.quantities["delay"]),
+            "turn_rad": list(map(listed, self.along("turn"))), "shift_m": list(map(listed, self.along("shift"))),
+            "noise_ratio": listed(self.quantities.get("ratio")), "residual_before_m": self.before,
             "residual_after_m": self.after, "frames": self.frames, "pixels": self.pixels, "notes": list(self.notes),
         }  # fmt: skip
 
     def sentences(self) -> list[str]:
         """What is beyond everyday, a sentence each."""
-        said = []
+        found = []
         if DELAY.name in self.named:
-            ms = [1e3 * v for v in self.delay]
-            said.append(f"the camera {self.camera} is late by {ms[0]:.0f} ms [{ms[1]:.0f}, {ms[2]:.0f}]")
+            found.append(f"the camera {self.camera} is late by {self.quantities['delay'].text('.0f', 1e3, ' ms')}")
         if MOUNT.name in self.named:
-            turn = ", ".join(f"{degrees(v):+.1f}° [{degrees(a):.1f}, {degrees(b):.1f}]" for v, a, b in self.turn)
-            shift = ", ".join(f"{1e3 * v:+.0f} [{1e3 * a:.0f}, {1e3 * b:.0f}]" for v, a, b in self.shift)
-            said.append(
+            turn = ", ".join(q.text("+.1f", degrees(1), "°") for q in self.along("turn"))
+            shift = ", ".join(q.text("+.0f", 1e3) for q in self.along("shift"))
+            found.append(
                 f"the camera {self.camera} is not mounted as in the model: turned by {turn} and shifted by {shift} mm "
                 "(about and along right, down, forward)"
             )
-        if NOISE.name in self.named and self.noise is not None:
-            v, a, b = self.noise
-            said.append(f"the depth of {self.camera} is {v:.1f} [{a:.1f}, {b:.1f}] times as noisy as log.json says")
-        return said
-
-
-def _parameter(v: tuple[float, float, float], unit: str) -> dict[str, Any]:
-    return {"value": v[0], "unit": unit, "ci90": [v[1], v[2]]}
+        if NOISE.name in self.named:
+            times = self.quantities["ratio"].text(".1f")
+            found.append(f"the depth of {self.camera} is {times} times as noisy as log.json says")
+        return found
 
 
 def calibrate(
@@ -255,19 +251,26 @@ class _Fitter:
             odds = -gain - float(np.log(len(KINDS) + 1))
             if odds > EVIDENCE:
                 named[name] = max(odds, named.get(name, 0.0))
-        noise = self._noise(fit.state)
-        if noise is not None and noise[1] > NOISIER:
-            named[NOISE.name] = float(min(30.0, np.log(noise[0]) ** 2 / max((noise[2] - noise[1]) / 3.3, 1e-3) ** 2))
         half = Z90 * np.sqrt(np.diag(covariance))
-        values = [(float(v), float(v - h), float(v + h)) for v, h in zip(fit.state[:7], half[:7], strict=True)]
+        units = PARAMETERS[DELAY.name] | {
+            f"{what}_{a}": u for what, u in (("turn", "rad"), ("shift", "m")) for a in AXES
+        }
+        quantities = {
+            name: Interval(float(v), float(v - h), float(v + h), unit)
+            for (name, unit), v, h in zip(units.items(), fit.state[:7], half[:7], strict=True)
+        }
+        noise = self._noise(fit.state)
+        if noise is not None:
+            quantities["ratio"] = noise
+            if noise.low > NOISIER:
+                spread = max((noise.high - noise.low) / 3.3, 1e-3)
+                named[NOISE.name] = float(min(30.0, np.log(noise.value) ** 2 / spread**2))
         notes = []
         if self.runs < 3:
             notes.append("fewer than three runs have depth: a lean of the base in a run looks like a turned mount")
         sizes = [float(np.nanmedian(np.abs(r))) for r in (before, self.residual(fit.state))]
-        return CameraFound(
-            self.camera.name, values[0], tuple(values[1:4]), tuple(values[4:7]), noise, named, sizes[0],
-            sizes[1], sum(len(f.time) for f in self.view.frames), total, tuple(notes),
-        )  # fmt: skip
+        count = sum(len(f.time) for f in self.view.frames)
+        return CameraFound(self.camera.name, quantities, named, sizes[0], sizes[1], count, total, tuple(notes))
 
     def _of_base(self, J: F64, x: F64, which: int) -> list[F64]:
         """(P, 6) of each frame of a run: slopes of residuals by a shift and a turn of the base in the world's axes,
@@ -295,7 +298,7 @@ class _Fitter:
         scores = np.stack([np.asarray(pull[a:b].sum(axis=0)).ravel() for a, b in pairwise(ends)])
         return np.asarray(inverse + inverse @ scores.T @ scores @ inverse * self.runs / (self.runs - 1))
 
-    def _noise(self, x: F64) -> tuple[float, float, float] | None:
+    def _noise(self, x: F64) -> Interval | None:
         """Ratio of the noise to what log.json says, from second differences along rows on one geom: these know
         neither the scan's errors nor the mount's. None where log.json says nothing."""
         if self.camera.noise is None:
@@ -318,7 +321,7 @@ class _Fitter:
         by_run = np.array([np.median(v) / 0.6745 for v in ratios if len(v) > 50])
         spread = float(np.std(by_run, ddof=1) / np.sqrt(len(by_run))) if len(by_run) > 2 else 0.0
         half = Z90 * float(np.hypot(spread, 1.17 * value / np.sqrt(len(every))))
-        return value, value - half, value + half
+        return Interval(value, value - half, value + half, "ratio")
 
 
 def jitter(run: Run) -> F64:

@@ -16,6 +16,8 @@ from realsim.core.types import F64
 
 FREEDOM = 4.0
 """Degrees of freedom of the groups' errors."""
+EVIDENCE = 3.0
+"""Log-odds from which a deviation is named, after the number of those that were tested has been paid."""
 ROUNDS = 30
 CLOSE = 1e-3
 

@@ -8,10 +8,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from realsim.core.statistics import Z90
+from realsim.core.statistics import Z90, Interval
 from realsim.core.types import F64
 from realsim.gap.case.case import Case
-from realsim.gap.checks.camera.mixed import Fit, fit
+from realsim.gap.checks.camera.mixed import EVIDENCE, Fit, fit
 from realsim.gap.checks.camera.terrain import Terrain
 from realsim.gap.checks.footholds.touches import Touch, Touches, find_touches
 
@@ -32,8 +32,6 @@ LEG = 0.004
 """m by which one leg reaches farther than the model's (encoder zeros, lengths, a worn sole)."""
 KNOT = 2.0
 """s between the knots of the base's wandering height."""
-EVIDENCE = 3.0
-"""Log-odds, after the number of places and kinds that were looked at has been paid, from which a change is named."""
 SLIDES = 0.004
 """m a contact by which a slippery foothold's slip exceeds that of all others at least."""
 HELD = 0.5
@@ -49,19 +47,6 @@ FIRST_GUESS = (0.004, 0.002)
 
 
 @dataclass(frozen=True)
-class Quantity:
-    """A value with its 90 percent interval."""
-
-    value: float
-    low: float
-    high: float
-    unit: str
-
-    def as_dict(self) -> dict[str, Any]:
-        return {"value": self.value, "unit": self.unit, "ci90": [self.low, self.high]}
-
-
-@dataclass(frozen=True)
 class Foothold:
     """One place on the terrain where feet stood."""
 
@@ -71,7 +56,7 @@ class Foothold:
     """m, scene frame: the middle of the contacts, at the scanned top."""
     touches: int
     runs: int
-    quantities: dict[str, Quantity]
+    quantities: dict[str, Interval]
     """height (m), tilt_x, tilt_y (rad), give, wobble (m under the robot's weight), slip (m a contact), friction."""
     changes: tuple[str, ...] = ()
     """Which of these are beyond everyday deviations: height, tilt, give, slip, wobble; the surest first."""
@@ -198,12 +183,12 @@ class _Search:
     def _wide(self, kind: str) -> F64:
         return self.wide[list(self.kinds[kind])]
 
-    def quantities(self, k: int) -> dict[str, Quantity]:
+    def quantities(self, k: int) -> dict[str, Interval]:
         """The parameters of one foothold."""
         found = {}
         for index, (name, unit) in enumerate(self.units.items(), self.first + self.per * k):
             mean, half = self.fit.mean[index], Z90 * np.sqrt(self.fit.covariance[index, index])
-            found[name] = Quantity(float(mean), float(mean - half), float(mean + half), unit)
+            found[name] = Interval(float(mean), float(mean - half), float(mean + half), unit)
         return found
 
 
@@ -294,7 +279,7 @@ SLIDING = 0.02
 """m/s from which a foot slides."""
 
 
-def _slips(touches: Touches, names: Sequence[str], rng: np.random.Generator) -> list[tuple[dict[str, Quantity], float]]:
+def _slips(touches: Touches, names: Sequence[str], rng: np.random.Generator) -> list[tuple[dict[str, Interval], float]]:
     """For each foothold: its slip a contact and the friction at which feet slid, and the log-odds that it is slippery.
 
     Feet slide a little everywhere, where a gait pushes sideways. A slippery foothold lets them slide farther than
@@ -307,11 +292,11 @@ def _slips(touches: Touches, names: Sequence[str], rng: np.random.Generator) -> 
     }
     price = float(np.log(max(len(names), 1)))
 
-    def typical(values: F64, unit: str) -> Quantity:
+    def typical(values: F64, unit: str) -> Interval:
         low, high = np.quantile(np.median(rng.choice(values, (400, len(values))), axis=1), [0.05, 0.95])
-        return Quantity(float(np.median(values)), float(low), float(high), unit)
+        return Interval(float(np.median(values)), float(low), float(high), unit)
 
-    result: list[tuple[dict[str, Quantity], float]] = []
+    result: list[tuple[dict[str, Interval], float]] = []
     for name in names:
         mine = slid[name]
         if len(mine) < LEAST_TOUCHES:

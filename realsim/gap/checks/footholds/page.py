@@ -14,6 +14,7 @@ from realsim.gap.checks.footholds.verdict import SceneVerdict, sentence
 from realsim.report import page, raster, svg
 
 WORDS = {"height": "height", "tilt": "tilt", "give": "soft", "slip": "slippery", "wobble": "wobbles"}
+AXES = ("right", "down", "forward")
 COLORS = (37, 99, 190), (226, 226, 222), (190, 60, 37)
 
 
@@ -72,7 +73,7 @@ def _map(found: FootholdMap, terrain: Terrain) -> str:
             axes.dots(at, "var(--ink)", radius=11)
         h = hold.quantities["height"]
         r, g, b = raster.colorize(h.value, -0.02, 0.02, COLORS)[:3]
-        mm = f"{1000 * h.value:+.0f} mm [{1000 * h.low:.0f}, {1000 * h.high:.0f}]"
+        mm = h.text("+.0f", 1e3, " mm")
         title = sentence(hold) if hold.changes else f"{hold.name}: {mm}, {hold.touches} contacts"
         axes.dots(at, f"rgb({r},{g},{b})", radius=9, titles=[title])
     for hold in found.changed:
@@ -112,11 +113,7 @@ def _table(found: FootholdMap) -> str:
     rows = []
     for hold in sorted(found.footholds, key=lambda h: (not h.changes, h.name)):
         q = hold.quantities
-        texts = {}
-        for kind in parts:
-            texts[kind] = "–"
-            if kind in q:
-                texts[kind] = f"{1000 * q[kind].value:.1f} [{1000 * q[kind].low:.1f}, {1000 * q[kind].high:.1f}]"
+        texts = {kind: q[kind].text(".1f", 1e3) if kind in q else "–" for kind in parts}
         texts["tilt"] = f"{degrees(q['tilt_x'].value):.1f}, {degrees(q['tilt_y'].value):.1f}"
         cells = [f"<b>{text}</b>" if kind in hold.changes else text for kind, text in texts.items()]
         rows.append([page.esc(hold.name), f"{hold.place[0]:.2f}, {hold.place[1]:.2f}", str(hold.touches), *cells])
@@ -127,11 +124,15 @@ def camera_cards(found: CameraFound | None) -> list[str]:
     """What recorded depth says of its camera, as a card; nothing where none was recorded."""
     if found is None:
         return []
-    rows = [["delay", "ms", *_values(found.delay, 1e3)]]
-    rows += [[f"turned about {a}", "°", *_values(v, 57.2958)] for a, v in zip(AXES, found.turn, strict=True)]
-    rows += [[f"shifted to {a}", "mm", *_values(v, 1e3)] for a, v in zip(AXES, found.shift, strict=True)]
-    if found.noise is not None:
-        rows.append(["noise", "ratio", *_values(found.noise, 1.0)])
+    quantities = [("delay", "ms", 1e3, found.quantities["delay"])]
+    quantities += [(f"turned about {a}", "°", 57.2958, q) for a, q in zip(AXES, found.along("turn"), strict=True)]
+    quantities += [(f"shifted to {a}", "mm", 1e3, q) for a, q in zip(AXES, found.along("shift"), strict=True)]
+    if "ratio" in found.quantities:
+        quantities.append(("noise", "ratio", 1.0, found.quantities["ratio"]))
+    rows = [
+        [what, unit, f"{scale * q.value:.2f}", f"{scale * q.low:.2f} to {scale * q.high:.2f}"]
+        for what, unit, scale, q in quantities
+    ]
     note = (
         f"{found.frames} frames, {found.pixels} pixels of {found.camera} against rays in the scene. Median residual: "
         f"{1000 * found.before:.1f} mm with the camera as in the model, {1000 * found.after:.1f} mm as found here."
@@ -140,10 +141,3 @@ def camera_cards(found: CameraFound | None) -> list[str]:
         found.sentences(), "The camera is where the model has it, on time, and no noisier than it should be."
     )
     return [page.card("Depth camera", text + page.table(["", "unit", "value", "90 percent"], rows), note, wide=True)]
-
-
-AXES = ("right", "down", "forward")
-
-
-def _values(v: tuple[float, float, float], scale: float) -> list[str]:
-    return [f"{scale * v[0]:.2f}", f"{scale * v[1]:.2f} to {scale * v[2]:.2f}"]

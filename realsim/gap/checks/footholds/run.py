@@ -69,7 +69,7 @@ def check_camera(case: Case, scene: Path | None, progress: Progress | None = Non
     """The depth camera of a log alone; None where it recorded nothing. Feet steady the base's pose where they can."""
     if depth_camera(case) is None:
         return None
-    terrain = load_terrain(scene) if scene is not None else terrain_of_case(case)
+    terrain = terrain_under(case, scene)
     with threadpool_limits(1, user_api="blas"):
         stands = case.floating and all(case.has(s) for s in ("base_pos", "base_quat", "contact"))
         correction = by_feet(case, survey(case, terrain, progress)) if stands else None
@@ -98,27 +98,21 @@ def run_scene(
     """
     with output_folder(Path(out), overwrite=overwrite, source=Path(folder)) as work:
         case = load_case(Path(folder))
-        terrain = load_terrain(scene) if scene is not None else terrain_of_case(case)
+        terrain = terrain_under(case, scene)
         checked = check_scene(case, terrain, progress)
         weight = 9.81 * float(case.model.body_subtreemass[0])
         notes = list(checked.notes)
         notes += write_corrected(work, terrain, checked.footholds, weight)
         data = checked.as_dict() | {"notes": notes}
         write_text(work / "footholds.json", to_json(data))
-        write_text(
-            work / "report.html",
-            scene_page(
-                checked.verdict,
-                checked.footholds,
-                terrain,
-                case.folder.absolute().name,
-                notes,
-                camera_cards(checked.camera),
-            ),
-        )
+        name, cards = case.folder.absolute().name, camera_cards(checked.camera)
+        html = scene_page(checked.verdict, checked.footholds, terrain, name, notes, cards)
+        write_text(work / "report.html", html)
     return data
 
 
-def terrain_of_case(case: Case) -> Terrain:
-    """The terrain that stands in the case's own model."""
+def terrain_under(case: Case, scene: Path | None) -> Terrain:
+    """The terrain of a scene; None: that in the case's own model."""
+    if scene is not None:
+        return load_terrain(scene)
     return terrain_of(case.spec, case.spec.copy().compile(), case.folder / "model.xml")

@@ -9,8 +9,9 @@ from typing import Any
 
 from realsim.core.errors import RealsimError
 from realsim.core.files import read_json
+from realsim.core.statistics import Interval
 from realsim.gap.checks.camera.calibrate import CameraFound
-from realsim.gap.checks.footholds.footholds import Foothold, FootholdMap, Quantity
+from realsim.gap.checks.footholds.footholds import Foothold, FootholdMap
 from realsim.report.page import Level
 
 MANY = 0.25
@@ -89,24 +90,19 @@ def sentence(hold: Foothold) -> str:
     parts = []
     for kind in hold.changes:
         if kind == "height":
-            way = "higher" if q["height"].value > 0 else "lower"
-            parts.append(f"{way} by {_size(q['height'])} mm")
+            parts.append(f"{'higher' if q['height'].value > 0 else 'lower'} by {_size(q['height'])} mm")
         elif kind == "tilt":
-            for axis in "xy":
-                value, low, high = (degrees(getattr(q[f"tilt_{axis}"], end)) for end in ("value", "low", "high"))
-                parts.append(f"tilted by {value:.1f} [{low:.1f}, {high:.1f}]° about {axis}")
+            parts += [f"tilted by {q[f'tilt_{axis}'].text('.1f', degrees(1))}° about {axis}" for axis in "xy"]
         elif kind == "give":
             parts.append(f"softer: it gives way by {_size(q['give'])} mm under the robot's weight")
         elif kind == "slip":
-            grip = q.get("friction")
-            at = f", friction {grip.value:.2f} [{grip.low:.2f}, {grip.high:.2f}]" if grip else ""
+            at = f", friction {q['friction'].text('.2f')}" if "friction" in q else ""
             parts.append(f"slippery: feet slide {_size(q['slip'])} mm a contact{at}")
         elif kind == "wobble":
             parts.append(f"wobbling: feet sway {_size(q['wobble'])} mm when it is loaded 2 cm off its middle")
     return f"{hold.name} is {', and '.join(parts)} ({hold.touches} contacts in {hold.runs} runs)"
 
 
-def _size(q: Quantity) -> str:
+def _size(q: Interval) -> str:
     """A length without its sign in mm, with its interval."""
-    low, high = sorted((q.low, q.high)) if q.value > 0 else (-q.high, -q.low)
-    return f"{1000 * abs(q.value):.0f} [{1000 * low:.0f}, {1000 * high:.0f}]"
+    return (q if q.value > 0 else Interval(-q.value, -q.high, -q.low)).text(".0f", 1e3)

@@ -11,6 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from realsim.core.errors import GapError
+from realsim.core.statistics import Interval
 from realsim.gap.answer.camera import with_camera
 from realsim.gap.answer.diagnosis import Diagnosis
 from realsim.gap.case.case import Run, load_case
@@ -56,23 +57,24 @@ def test_what_was_done_is_named_and_nothing_else(found: dict[str, CameraFound], 
     assert len(found[name].sentences()) == len(NAMES[name])
 
 
+def nearly_within(q: Interval, truth: float) -> bool:
+    return q.low - 0.5 * (q.value - q.low) < truth < q.high + 0.5 * (q.high - q.value)
+
+
 def test_values_are_recovered(found: dict[str, CameraFound]) -> None:
     late = found["late_and_noisy"]
-    assert late.delay[0] == pytest.approx(0.04, abs=0.005)
-    assert found["turned"].turn[0][0] == pytest.approx(0.0349, abs=0.007)
+    assert late.quantities["delay"].value == pytest.approx(0.04, abs=0.005)
+    assert found["turned"].quantities["turn_x"].value == pytest.approx(0.0349, abs=0.007)
     # By 1 cm down in the camera, which looks down by 0.45 rad: how far it is lower is known well, how far back is not,
     # since a base that is off along the way does the same.
-    (_, down, forward) = found["shifted"].shift
-    assert np.cos(0.45) * down[0] + np.sin(0.45) * forward[0] == pytest.approx(0.01 * np.cos(0.45), abs=0.002)
-    assert down[1] - 0.5 * (down[0] - down[1]) < 0.01 < down[2] + 0.5 * (down[2] - down[0])
-    assert late.noise is not None
-    assert late.noise[0] == pytest.approx(2.0, abs=0.15)
+    (_, down, forward) = found["shifted"].along("shift")
+    assert np.cos(0.45) * down.value + np.sin(0.45) * forward.value == pytest.approx(0.01 * np.cos(0.45), abs=0.002)
+    assert nearly_within(down, 0.01)
+    assert late.quantities["ratio"].value == pytest.approx(2.0, abs=0.15)
     for name in ("nothing", "turned"):
-        assert found[name].noise is not None
-        assert found[name].noise[0] == pytest.approx(1.0, abs=0.1)
-    for name, which, truth in (("late", late.delay, 0.04), ("turned", found["turned"].turn[0], 0.0349)):
-        value, low, high = which
-        assert low - 0.5 * (value - low) < truth < high + 0.5 * (high - value), name
+        assert found[name].quantities["ratio"].value == pytest.approx(1.0, abs=0.1)
+    assert nearly_within(late.quantities["delay"], 0.04)
+    assert nearly_within(found["turned"].quantities["turn_x"], 0.0349)
     assert found["turned"].after < 0.5 * found["turned"].before
 
 
@@ -233,8 +235,8 @@ def test_the_search_over_motions_says_where_they_are_told(name: str) -> None:
 def test_what_all_runs_share_stays_in_the_interval(found: dict[str, CameraFound]) -> None:
     """A lean that feet or an IMU err by alike in all runs looks like a turned mount, however many pixels there are."""
     for camera in found.values():
-        _, low, high = camera.turn[0]
-        assert (high - low) / 2 / 1.645 > 0.9 * OF_ALL[4] * np.cos(0.45)
+        turn = camera.quantities["turn_x"]
+        assert (turn.high - turn.low) / 2 / 1.645 > 0.9 * OF_ALL[4] * np.cos(0.45)
 
 
 @pytest.mark.parametrize(("metres", "radians"), [(0.0, 0.0), (0.001, 0.002)])
