@@ -151,3 +151,27 @@ def outside_hull(corners: Array, xy: Array) -> Array:
     inside = (edge[:, 0] * to[..., 1] - edge[:, 1] * to[..., 0] >= 0).all(1)
     t = np.clip((to * edge).sum(2) / (edge**2).sum(1), 0, 1)
     return np.where(inside, 0.0, np.linalg.norm(to - t[..., None] * edge, axis=2).min(1))
+
+
+def error_grid(contact_map: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(rows, columns) signed error in metres of (N, 3) x, y, error; the worst of a cell; NaN where nothing was probed.
+
+    The first row is the largest y, so that the picture is seen from above with x to the right.
+    """
+    from scipy import ndimage
+
+    xy, error = contact_map[:, :2], contact_map[:, 2]
+    low, size = xy.min(0), np.maximum(np.ptp(xy, axis=0), 1e-6)
+    # A little wider than the probes are apart: few cells without one.
+    cell = 1.15 * float(np.sqrt(size.prod() / len(xy)))
+    shape = np.maximum((size / cell).astype(int), 1)
+    column, row = np.minimum((xy - low) / size * shape, shape - 1).astype(int).T
+    grid = np.full((shape[1], shape[0]), np.nan)
+    order = np.argsort(np.abs(np.nan_to_num(error)), kind="stable")
+    order = order[np.isfinite(error[order])]
+    grid[row[order], column[order]] = error[order]
+    empty = np.ones(grid.shape, bool)
+    empty[row, column] = False
+    # Probes stand at random, so that some cells have none: they show what their neighbour has.
+    near = ndimage.distance_transform_edt(empty, return_distances=False, return_indices=True)
+    return grid[near[0], near[1]][::-1]

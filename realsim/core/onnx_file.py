@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import mmap
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,10 +19,7 @@ from realsim.core.files import check_size, inside
 VARINT, I64, BYTES, I32 = 0, 1, 2, 5
 # Field numbers of onnx.proto.
 MODEL_IR, MODEL_PRODUCER, MODEL_GRAPH, MODEL_OPSET, MODEL_METADATA = 1, 2, 7, 8, 14
-GRAPH_NODE, GRAPH_INITIALIZER, GRAPH_INPUT, GRAPH_OUTPUT, GRAPH_VALUES = 1, 5, 11, 12, 13
-NODE_INPUT, NODE_OUTPUT, NODE_ATTRIBUTE, ATTRIBUTE_GRAPHS = 1, 2, 5, (6, 11)
-FLOATS = bytes([0x0A, 2, 8, 1])
-"""The type of a tensor of float32 whose shape is left open."""
+GRAPH_INITIALIZER = 5
 TENSOR_EXTERNAL, TENSOR_LOCATION = 13, 14
 EXTERNAL = 1
 MAX_BYTES = 64 * 2**30
@@ -91,52 +88,6 @@ def open_network(path: Path) -> Any:
     """
     read_envelope(path)
     return open_session(path, str(path))
-
-
-def open_parts(path: Path, given: str) -> tuple[Any, Any]:
-    """Two sessions of a network: what depends on its input `given` alone, and the rest.
-
-    Whoever changes other inputs runs the first once. The second takes the other inputs, then the first's outputs. Where
-    nothing is computed from `given` alone, or the graph holds graphs, the first is None and the second the network.
-    """
-    whole = open_network(path)
-    model = [(n, v) for n, v in _fields(memoryview(path.read_bytes()))]
-    graph = [f for v in _parts_of(model, MODEL_GRAPH) for f in _fields(v)]
-    others = [i.name for i in whole.get_inputs() if i.name != given]
-    alone, mixed, parts = {given}, set(others), dict[str, list[memoryview]](head=[], both=[], tail=[])
-    needed = list[str]()
-    for node in _parts_of(graph, GRAPH_NODE):
-        fields = list(_fields(node))
-        if any(n in ATTRIBUTE_GRAPHS for v in _parts_of(fields, NODE_ATTRIBUTE) for n, _ in _fields(v)):
-            return None, whole
-        takes, makes = ([str(v, "utf-8", "replace") for v in _parts_of(fields, k)] for k in (NODE_INPUT, NODE_OUTPUT))
-        part = "tail" if mixed.intersection(takes) else "head" if alone.intersection(takes) else "both"
-        parts[part].append(node)
-        {"head": alone, "both": set[str](), "tail": mixed}[part].update(makes)
-        needed += [t for t in takes if part == "tail" and t in alone and t not in needed]
-    if not needed or given in needed or not mixed.intersection(o.name for o in whole.get_outputs()):
-        return None, whole
-
-    def session(nodes: list[memoryview], inputs: list[str], outputs: list[str]) -> Any:
-        kept: list[tuple[int, int | bytes | memoryview]] = [
-            (n, v) for n, v in graph if n not in (GRAPH_NODE, GRAPH_INPUT, GRAPH_OUTPUT, GRAPH_VALUES)
-        ]
-        kept += [(GRAPH_NODE, node) for node in nodes]
-        kept += [(GRAPH_INPUT, _message([(1, name.encode()), (2, FLOATS)])) for name in inputs]
-        kept += [(GRAPH_OUTPUT, _message([(1, name.encode())])) for name in outputs]
-        return open_session(
-            path, _message([*((n, v) for n, v in model if n != MODEL_GRAPH), (MODEL_GRAPH, _message(kept))])
-        )
-
-    head = session(parts["both"] + parts["head"], [given], needed)
-    if any(o.type != "tensor(float)" for o in head.get_outputs()):
-        return None, whole
-    return head, session(parts["both"] + parts["tail"], others + needed, [o.name for o in whole.get_outputs()][:1])
-
-
-def _parts_of(fields: Iterable[tuple[int, int | memoryview]], number: int) -> list[memoryview]:
-    """The messages and texts among fields of this number; an integer there is a field that no ONNX reader knows."""
-    return [v for n, v in fields if n == number and not isinstance(v, int)]
 
 
 def open_session(path: Path, model: str | bytes) -> Any:
@@ -223,21 +174,6 @@ def _fields(data: memoryview) -> Iterator[tuple[int, int | memoryview]]:
             raise ValueError("a field that ends after the file")
         yield number, data[at : at + size]
         at += size
-
-
-def _message(fields: Iterable[tuple[int, int | bytes | memoryview]]) -> bytes:
-    """The reverse of `_fields`, of integers and bytes."""
-
-    def number(value: int) -> bytes:
-        return bytes([value]) if value < 0x80 else bytes([value & 0x7F | 0x80]) + number(value >> 7)
-
-    found = bytearray()
-    for key, value in fields:
-        if isinstance(value, int):
-            found += number(key << 3 | VARINT) + number(value)
-        else:
-            found += number(key << 3 | BYTES) + number(len(value)) + bytes(value)
-    return bytes(found)
 
 
 def _varint(data: memoryview, at: int) -> tuple[int, int]:

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
-from realsim.core.types import F64, Platform, Reconstruction, SceneFiles
+from realsim.core.geometry import error_grid
+from realsim.core.types import Platform, Reconstruction, SceneFiles
 from realsim.report import page, raster, svg
 from realsim.report.marks import leaks_of
 from realsim.report.topdown import ROLE_INK, mark
@@ -83,27 +82,3 @@ def rows(c: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 def _counted(n: int, kind: str) -> str:
     return f"{n} {kind}" + ("" if n == 1 else "es" if kind.endswith(("x", "sh")) else "s")
-
-
-def error_grid(contact_map: F64) -> F64:
-    """(rows, columns) signed error in metres of (N, 3) x, y, error; the worst of a cell; NaN where nothing was probed.
-
-    The first row is the largest y, so that the picture is seen from above with x to the right.
-    """
-    from scipy import ndimage
-
-    xy, error = contact_map[:, :2], contact_map[:, 2]
-    low, size = xy.min(0), np.maximum(np.ptp(xy, axis=0), 1e-6)
-    # A little wider than the probes are apart: few cells without one.
-    cell = 1.15 * float(np.sqrt(size.prod() / len(xy)))
-    shape = np.maximum((size / cell).astype(int), 1)
-    column, row = np.minimum((xy - low) / size * shape, shape - 1).astype(int).T
-    grid = np.full((shape[1], shape[0]), np.nan)
-    order = np.argsort(np.abs(np.nan_to_num(error)), kind="stable")
-    order = order[np.isfinite(error[order])]
-    grid[row[order], column[order]] = error[order]
-    empty = np.ones(grid.shape, bool)
-    empty[row, column] = False
-    # Probes stand at random, so that some cells have none: they show what their neighbour has.
-    near = ndimage.distance_transform_edt(empty, return_distances=False, return_indices=True)
-    return grid[near[0], near[1]][::-1]

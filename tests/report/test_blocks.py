@@ -172,7 +172,7 @@ def test_pieces_escape_text() -> None:
 
 
 def test_the_contact_map_shows_the_worst_of_a_cell_from_above() -> None:
-    from realsim.report.contact import error_grid
+    from realsim.core.geometry import error_grid
 
     x, y = np.meshgrid(np.arange(10) / 10, np.arange(5) / 10)
     error = np.zeros(x.size)

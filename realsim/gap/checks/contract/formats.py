@@ -4,19 +4,18 @@ the same) in the ONNX file; deploy.yaml of unitree_rl_lab; IO_descriptors.yaml o
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from realsim.core.errors import GapError, ModelError
 from realsim.core.files import parse_yaml, read_text
-from realsim.core.onnx_file import open_network, open_parts
+from realsim.core.onnx_file import open_network
 from realsim.core.types import F64
-from realsim.gap.checks.contract.policy import TERMS, WIDTH, Camera, Contract, Run, Seen, Term
+from realsim.gap.checks.contract.policy import TERMS, WIDTH, Camera, Contract, Run, Term
 
 EXPORTED = "give the exported policy.onnx, which realsim finetune and mjlab write, and play.py of Isaac Lab"
 MAX_BYTES = 2**20
@@ -201,12 +200,11 @@ def load_policy(path: Path | str, deploy: Path | str | None = None, joints: Sequ
             hint=error.hint if absent else EXPORTED,
         ) from error  # fmt: skip
     made = read_contract(path, session.get_modelmeta().custom_metadata_map, deploy, joints)
-    run, see = _runner(session, made, path)
-    return replace(made, run=run, see=see)
+    return replace(made, run=_runner(session, made, path))
 
 
-def _runner(session: Any, made: Contract, path: Path) -> tuple[Run, Callable[[F64], Seen]]:
-    """`Contract.run` and `Contract.see`; run once on zeros, so that a damaged network is refused here."""
+def _runner(session: Any, made: Contract, path: Path) -> Run:
+    """`Contract.run`; run once on zeros, so that a damaged network is refused here."""
     inputs = session.get_inputs()
     vector, images = inputs[0], inputs[1:]
     size = vector.shape[-1]
@@ -224,23 +222,14 @@ def _runner(session: Any, made: Contract, path: Path) -> tuple[Run, Callable[[F6
         )  # fmt: skip
     single = isinstance(vector.shape[0], int)  # exported for a batch of one
 
-    head, tail = open_parts(path, images[0].name) if images else (None, session)
-
-    def fed(part: Any, values: Seen) -> list[NDArray[Any]]:
-        feeds = {i.name: np.ascontiguousarray(v, np.float32) for i, v in zip(part.get_inputs(), values, strict=True)}
-        if not single:
-            return list(part.run(None, feeds))
-        each = [part.run(None, {k: v[i : i + 1] for k, v in feeds.items()}) for i in range(len(values[0]))]
-        return [np.concatenate(rows) for rows in zip(*each, strict=True)]
-
-    def see(depth: F64) -> Seen:
-        return (depth,) if head is None else fed(head, (depth,))
-
-    def call(rows: F64, seen: Seen) -> F64:
-        return np.asarray(fed(tail, (rows, *seen))[0], dtype=np.float64)
+    def call(rows: F64, pictures: F64 | None) -> F64:
+        values = (rows,) if pictures is None else (rows, pictures)
+        feeds = {i.name: np.ascontiguousarray(v, np.float32) for i, v in zip(inputs, values, strict=True)}
+        batches = [{k: v[i : i + 1] for k, v in feeds.items()} for i in range(len(rows))] if single else [feeds]
+        return np.concatenate([np.asarray(session.run(None, batch)[0], dtype=np.float64) for batch in batches])
 
     try:
-        shape = call(np.zeros((1, made.width)), see(np.ones((1, *made.camera.shape))) if made.camera else ()).shape
+        shape = call(np.zeros((1, made.width)), np.ones((1, *made.camera.shape)) if made.camera else None).shape
     except Exception as error:  # onnxruntime's own exception classes share no base but this
         raise GapError(
             "the policy cannot be run", file=path, expected=f"{len(made.joints)} actions for an observation of zeros",
@@ -251,4 +240,4 @@ def _runner(session: Any, made: Contract, path: Path) -> tuple[Run, Callable[[F6
             "the contract does not fit the network", file=path, expected=f"{len(made.joints)} actions",
             found=f"an output of {shape}",
         )  # fmt: skip
-    return call, see
+    return call

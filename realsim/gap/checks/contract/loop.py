@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from realsim.core.types import F64, Bool
-from realsim.gap.checks.contract.policy import Camera, Contract, Seen, Term
+from realsim.gap.checks.contract.policy import Camera, Contract, Term
 from realsim.gap.checks.contract.steps import Run, Steps, turn
 
 SENSORS = ("ang_vel", "gravity", "lin_vel", "joint_pos", "joint_vel")
@@ -99,14 +99,14 @@ def _of_run(contract: Contract, steps: Steps, which: int, loop: Loop) -> F64:
     action = actions(contract, sent if loop.order is None else sent[:, np.argsort(loop.order)], loop)
     cut = _cut(sent, action, loop)
     for _ in range(REPLAYS if loop.unaware else 0):  # each carries what was cut off one step on
-        own = contract.run(_vector(_parts(contract, steps, which, loop, action), loop), run.seen)
+        own = contract.run(_vector(_parts(contract, steps, which, loop, action), loop), run.images)
         before, action = action, np.where(cut, own, action)
         if np.sqrt(np.mean((action - before) ** 2)) < SETTLED:
             break
     parts = _parts(contract, steps, which, loop, action)
     if run.told is None and any(t.kind == "command" for t in contract.terms):
-        return _with_unknown(contract, sent, parts, run.seen, loop, "command")
-    return _targets(contract, sent, parts, run.seen, loop)
+        return _with_unknown(contract, sent, parts, run.images, loop, "command")
+    return _targets(contract, sent, parts, run.images, loop)
 
 
 def _cut(sent: F64, action: F64, loop: Loop) -> Bool:
@@ -140,8 +140,8 @@ def _parts(contract: Contract, steps: Steps, which: int, loop: Loop, action: F64
     return parts
 
 
-def _targets(contract: Contract, sent: F64, parts: Sequence[F64], seen: Seen, loop: Loop) -> F64:
-    action = contract.run(_vector(parts, loop), seen)
+def _targets(contract: Contract, sent: F64, parts: Sequence[F64], images: F64 | None, loop: Loop) -> F64:
+    action = contract.run(_vector(parts, loop), images)
     limit = loop.clip if loop.clip is not None else contract.clip
     if limit is not None:
         action = np.clip(action, -limit, limit)
@@ -210,7 +210,7 @@ def _vector(parts: Sequence[F64], loop: Loop) -> F64:
 
 
 def looking(contract: Contract, steps: Steps, blank: float = 1.0) -> Steps:
-    """The steps with what the network makes of their depth images, which no change of a loop touches.
+    """The steps with the depth images that the network is shown, which no change of a loop touches.
 
     Args:
         blank: what an image that is not logged shows, 0 near to 1 far.
@@ -218,7 +218,7 @@ def looking(contract: Contract, steps: Steps, blank: float = 1.0) -> Steps:
     camera = contract.camera
     if camera is None:
         return steps
-    return steps.each(lambda run: replace(run, seen=contract.see(_images(camera, run, blank))))
+    return steps.each(lambda run: replace(run, images=_images(camera, run, blank)))
 
 
 def _images(camera: Camera, run: Run, blank: float) -> F64:
@@ -232,7 +232,9 @@ def _images(camera: Camera, run: Run, blank: float) -> F64:
     return image[np.clip(np.arange(len(image))[:, None] - back[None], 0, None)]
 
 
-def _with_unknown(contract: Contract, sent: F64, parts: Sequence[F64], seen: Seen, loop: Loop, kind: str) -> F64:
+def _with_unknown(
+    contract: Contract, sent: F64, parts: Sequence[F64], images: F64 | None, loop: Loop, kind: str
+) -> F64:
     """The targets with an input that is not logged as it explains them best: one value for each window.
 
     Two Gauss-Newton steps with slopes by row; a window has many times more targets than unknowns.
@@ -245,7 +247,7 @@ def _with_unknown(contract: Contract, sent: F64, parts: Sequence[F64], seen: See
     def given(per_row: F64) -> F64:
         shown = list(parts)
         shown[which] = _history(per_row * term.scale, term, loop)
-        return _targets(contract, sent, shown, seen, loop)
+        return _targets(contract, sent, shown, images, loop)
 
     for _ in range(2):
         here = given(value[windows])

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
-
-from numpy.typing import NDArray
 
 from realsim.core.types import F64
 
@@ -50,10 +47,8 @@ class Camera:
     """m that becomes 1; no measurement is 1 too."""
 
 
-Seen = Sequence[NDArray[Any]]
-"""What a network makes of N depth images before anything else comes in: arrays of N rows; none without a camera."""
-Run = Callable[[F64, Seen], F64]
-"""(N, A) observations and what the network sees -> (N, J) actions."""
+Run = Callable[[F64, F64 | None], F64]
+"""(N, A) observations and, of a policy with a camera, (N, M, H, W) depth images -> (N, J) actions."""
 
 
 @dataclass(frozen=True)
@@ -69,9 +64,7 @@ class Contract:
     kd: F64 = field(repr=False)
     period: float = 0.02
     clip: float | None = None
-    run: Run = field(default=lambda rows, seen: rows, repr=False)
-    see: Callable[[F64], Seen] = field(default=lambda images: (images,), repr=False)
-    """(N, M, H, W) depth images -> what `run` takes."""
+    run: Run = field(default=lambda rows, images: rows, repr=False)
     camera: Camera | None = None
     offset: F64 | None = field(default=None, repr=False)
     """(J,) rad: target = offset + scale * action; the default pose if None."""

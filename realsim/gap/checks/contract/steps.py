@@ -13,7 +13,7 @@ from realsim.core.files import read_npz
 from realsim.core.types import F64, Bool
 from realsim.gap.case.case import Case
 from realsim.gap.checks.camera.recorded import in_metres, recorded_frames
-from realsim.gap.checks.contract.policy import Camera, Seen
+from realsim.gap.checks.contract.policy import Camera
 
 LEAST = 20
 """Policy steps: a run with fewer says nothing."""
@@ -42,13 +42,13 @@ class Run:
     """(K, 3) m/s of the base, its own axes."""
     frames: F64 | None = None
     """(K, H, W) m: the newest depth frame at each row."""
-    seen: Seen = ()
-    """What the network makes of the images at each row; see `loop.looking`."""
+    images: F64 | None = None
+    """(K, M, H, W) what the network is shown at each row; see `loop.looking`."""
 
     def at(self, rows: Any, seen: Any = None) -> Run:
         """Only these rows; `seen` are those of the readings, where they are others than those of the commands."""
         seen = rows if seen is None else seen
-        values = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("name", "seen")}
+        values = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("name", "images")}
         own = ("time", "command", "sent")
         picked: dict[str, Any] = {k: None if v is None else v[rows if k in own else seen] for k, v in values.items()}
         return replace(self, **picked)

@@ -286,7 +286,7 @@ def test_contracts_of_other_tools(tmp_path: Path) -> None:
     made = load_policy(str(onnx_policy(tmp_path / "mjlab.onnx", 27, meta)))  # paths may be text
     assert made.joints == JOINTS
     assert made.width == 27
-    assert made.run(np.ones((2, 27)), ()).shape == (2, 6)
+    assert made.run(np.ones((2, 27)), None).shape == (2, 6)
 
     deploy = {
         "joint_ids_map": [3, 4, 5, 0, 1, 2], "step_dt": 0.02, "stiffness": [1.0, 2.0, 3.0, 4.0, 5.0, 6.0],
@@ -348,7 +348,7 @@ def test_weights_lie_beside_the_policy_wherever_it_is_started(tmp_path: Path, mo
     model = onnx.load(str(onnx_policy(tmp_path / "whole.onnx", 6, meta)))
     onnx.save(model, str(home / "p.onnx"), save_as_external_data=True, location="w.data", size_threshold=0)
     monkeypatch.chdir(away)
-    assert load_policy(home / "p.onnx").run(np.ones((1, 6)), ()).tolist() == [[6.0] * 6]
+    assert load_policy(home / "p.onnx").run(np.ones((1, 6)), None).tolist() == [[6.0] * 6]
     (away / "w.data").write_bytes((home / "w.data").read_bytes())
     (home / "w.data").unlink()
     with pytest.raises(GapError, match="absent"):
