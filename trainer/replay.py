@@ -15,6 +15,7 @@ from realsim.core.errors import RealsimError
 from realsim.core.files import explain_write_errors
 from realsim.core.progress import track
 from realsim.core.registry import Registry
+from realsim.core.types import F64
 from trainer.errors import TrainerError
 from trainer.evaluate import Policy
 from trainer.physics import PhysicsConfig
@@ -23,8 +24,6 @@ from trainer.robots import TrainedRobot
 from trainer.tasks.parkour import ParkourEnv
 from trainer.tasks.parkour.terminations import OUTCOMES
 from trainer.terrain import Terrain
-
-F64 = NDArray[np.float64]
 
 SUN = np.array([-0.8, -1.2, 4.0])
 """Metres from what is looked at to the light."""

@@ -9,14 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.core.files import write_bytes
+from realsim.core.types import F64
 from realsim.export.gltf import Z_UP_TO_Y_UP, GltfFile
 from trainer.physics import PhysicsConfig
 from trainer.physics.world import slots_for, world_spec
 from trainer.replay import Recording
 from trainer.robots import TrainedRobot
 from trainer.terrain import Terrain
-
-F64 = NDArray[np.float64]
 
 GROUND_MARGIN = 2.0
 """Metres of ground around the course."""

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-F64 = NDArray[np.float64]
+from realsim.core.types import F64
+
 COMPONENTS = {"<f4": 5126, "<u2": 5123, "<u4": 5125}
 VERTEX_BUFFER, INDEX_BUFFER = 34962, 34963
 # glTF's y points up, ours z: a node above all turns by -90 degrees about x (x y z w), what is below stays as it is.

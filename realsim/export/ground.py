@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from realsim.core.meshes import across, sampled
-from realsim.core.types import TerrainMesh
+from realsim.core.types import F64, TerrainMesh
 
 LEVEL = 0.01  # metres: one level
 SHARE = 0.05  # of all that is level: less is no floor
@@ -23,7 +22,6 @@ CELL = 0.02  # metres; larger where the mesh is
 CELLS = 150  # a side, at most
 PROBES = 4000  # places at which the surface below the ground is touched
 DEEP = 0.015  # metres: as in the measure of contact, what is farther off than this is missing
-F64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from realsim.core.geometry import R_to_quat
 from realsim.core.meshes import merged, sampled
 from realsim.core.mjcf import check_mjcf
 from realsim.core.progress import note
+from realsim.core.types import F64
 from realsim.export.any_mesh import GOOD, contact_verdict
 from realsim.export.config import SceneConfig
 from realsim.export.contact.fidelity import EDGE, measure
@@ -22,7 +23,6 @@ from realsim.export.contact.probe import Reference
 from realsim.export.contact.seams import open_seams
 from realsim.export.formats.scene import mesh_of
 
-F64 = NDArray[np.float64]
 SAMPLES = 2000
 """Points of a mesh that are compared with its hull."""
 

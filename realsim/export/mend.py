@@ -24,7 +24,7 @@ from realsim.core.meshes import (
     origin_note,
 )
 from realsim.core.objfile import parse_obj
-from realsim.core.types import MeshQuality, TerrainMesh
+from realsim.core.types import F64, MeshQuality, TerrainMesh
 from realsim.export.contact.columns import check_extent, crossings
 from realsim.export.contact.probe import CEILING
 from realsim.export.contact.shape import UPRIGHT
@@ -41,7 +41,6 @@ MAX_TRIANGLES = 5_000_000
 THIN = 0.1  # width of a sliver seen from above, in lengths; set by hand on made nets of points
 RAYS = 96  # a side of the grid of rays that look at a mesh from above
 VAST = 50.0  # metres: larger than what a robot is taken across, so that the unit has to be given
-F64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.core.meshes import connected, edges_of, faces_by_place, linked
+from realsim.core.types import F64
 
-F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
 DENT = 0.0005
 """Metres that a piece may be hollow and still be taken for convex: a fiftieth of what is felt."""

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.core.meshes import connected, faces_by_place
+from realsim.core.types import F64
 
-F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
 
 SHARED = 1e-6

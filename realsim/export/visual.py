@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from realsim.core.errors import ExportError
 from realsim.core.meshes import vertex_normals
+from realsim.core.types import F64
 
 TILE = 4  # texels a side that each triangle gets
-F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
 
 

@@ -7,9 +7,9 @@ import struct
 import zlib
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-U8 = NDArray[np.uint8]
+from realsim.core.types import U8
 
 # Control colours, evenly spaced, interpolated linearly in sRGB. Height: dark blue to sand, lightness rises throughout,
 # so that it also reads in grey. Signed: blue, grey in the middle, red.

@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from realsim.core.geometry import exp_so3
 from realsim.core.meshes import across
+from realsim.core.types import F64
 
-F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
 
 # Corners 0..3 are the bottom, 4..7 the top above them, both counter-clockwise seen from above.

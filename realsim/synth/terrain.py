@@ -6,15 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from realsim.core.errors import UnknownNameError
 from realsim.core.geometry import make_T, transform
+from realsim.core.types import F64
 from realsim.synth import PLACES, TERRAINS
 from realsim.synth.places import Place
 from realsim.synth.solids import Solid, box, cylinder, hexahedron, rz
-
-F64 = NDArray[np.float64]
 
 PLATFORM = (0.9, 0.8, 0.35)
 """Size of the start and goal platforms, metres."""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-F32 = NDArray[np.float32]
+from realsim.core.types import F32
 
 TILE_M = {"floor": 6.0, "wall": 4.0}
 """Metres that a tile covers, 1.2 where not given."""

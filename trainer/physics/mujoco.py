@@ -21,14 +21,13 @@ from mujoco import rollout
 from numpy.typing import NDArray
 from torch import Tensor
 
+from realsim.core.types import F64
 from trainer.physics import edits
 from trainer.physics.base import MAX_SPEED, PhysicsConfig, State, WorldParams, empty_state
 from trainer.physics.sensors import ContactReader, FrameReader
 from trainer.physics.world import check_order, slots_for, world_spec
 from trainer.robots import TrainedRobot
 from trainer.terrain import Terrain
-
-F64 = NDArray[np.float64]
 
 
 class MujocoPhysics:

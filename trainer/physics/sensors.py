@@ -8,11 +8,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from realsim.core.types import F64
 from trainer.physics.base import State
 from trainer.physics.world import GROUND
 from trainer.robots import TrainedRobot
-
-F64 = NDArray[np.float64]
 
 _FOUND = 1 << int(mujoco.mjtConDataField.mjCONDATA_FOUND)
 _FORCE = 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE)

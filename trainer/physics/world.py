@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from realsim.core.geometry import R_to_quat
+from realsim.core.types import F64
 from trainer.errors import TrainerError
 from trainer.robots import TrainedRobot
 from trainer.terrain import Terrain
@@ -21,7 +21,6 @@ from trainer.terrain import Terrain
 if TYPE_CHECKING:
     from trainer.physics.base import PhysicsConfig
 
-F64 = NDArray[np.float64]
 
 GROUND, SLOT, SCENE = "ground", "slot", "scene"
 PARKED_Z = -1000.0

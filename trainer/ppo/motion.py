@@ -12,14 +12,13 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from realsim.core.types import F64
 from trainer.errors import TrainerError
 from trainer.robots import TrainedRobot
 from trainer.tasks.parkour.amp import pose
 
-F64 = NDArray[np.float64]
 SPEEDS = (0.3, 0.45, 0.6, 0.75)
 """m/s of the gaits."""
 

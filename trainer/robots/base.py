@@ -4,12 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
+from realsim.core.types import F64
 from realsim.robots import Robot
-
-F64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

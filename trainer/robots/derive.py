@@ -7,15 +7,14 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from realsim.core.geometry import R_to_quat, quat_to_R
+from realsim.core.types import F64
 from realsim.robots.base import LOOK, Robot
 from trainer.errors import TrainerError
 from trainer.robots.base import DepthMount, TrainedRobot
 from trainer.robots.soles import sole_points
 
-F64 = NDArray[np.float64]
 _NEAR_M, _ALONG = 0.02, 0.9
 """Joints are each other's mirror image if they lie this near and their axes have at least this cosine."""
 

@@ -11,11 +11,11 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from realsim.core.files import read_text
 from realsim.core.geometry import R_to_quat, quat_to_R
 from realsim.core.mjcf import check_mjcf
+from realsim.core.types import F64
 from realsim.robots.base import Robot, add_camera, add_servo
 from trainer.errors import TrainerError
 from trainer.fields import filled
@@ -23,7 +23,6 @@ from trainer.robots.base import TrainedRobot
 from trainer.robots.derive import derived
 from trainer.robots.soles import collides, outline
 
-F64 = NDArray[np.float64]
 SOLE_M = 0.01
 """Collision geoms of a foot's body whose lowest point is at most this much above the lowest of all are the foot."""
 _WAY_OUT = {

@@ -6,11 +6,10 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from realsim.core.geometry import quat_to_R
+from realsim.core.types import F64
 
-F64 = NDArray[np.float64]
 GRID = (9, 4)
 """Points along and across a sole. Even spacing matters: with points only under the ends of G1's capsules, an edge below
 the arch of the foot was invisible, and sliding off a small stake paid."""

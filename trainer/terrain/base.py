@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-F64 = NDArray[np.float64]
+from realsim.core.types import F64
 
 
 @dataclass(frozen=True)

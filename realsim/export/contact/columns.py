@@ -10,11 +10,9 @@ from numpy.typing import NDArray
 
 from realsim.core.errors import ExportError
 from realsim.core.meshes import across
-from realsim.core.types import TerrainMesh
+from realsim.core.types import F32, F64, TerrainMesh
 from realsim.export.contact.rays import Rays
 
-F64 = NDArray[np.float64]
-F32 = NDArray[np.float32]
 MAX_CELLS = 4_000_000
 AT_ONCE = 500_000  # cells: all rays of a large grid at once would take a gigabyte
 MAX_LAYERS = 8

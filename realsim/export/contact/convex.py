@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from realsim.core.types import F64
 from realsim.export.config import SceneConfig
 from realsim.export.contact.base import Asset, ContactModel, Geom, UnsuitedError
 from realsim.export.contact.islands import Island, Terrain
 from realsim.export.contact.shape import COARSE, Shape
 from realsim.export.contact.solids import island_solid
 
-F64 = NDArray[np.float64]
 OVERLAP = 0.0005  # metres by which parts are grown, so that nothing slips between them
 
 

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from realsim.core.types import F64
 from realsim.export.contact.leaks import count_leaks
 from realsim.export.contact.probe import BALL, BALL_RADIUS, CEILING, Probe, Reference, SimTouch, first_touch
 from realsim.export.contact.sides import side_figures
 
-F64 = NDArray[np.float64]
 UPRIGHT = np.array([1.0, 0, 0, 0])
 EDGE = 0.015  # metres: what is farther off than this is phantom or missing surface
 HALF_FOOT = 0.035  # metres: half the width of G1's foot

@@ -8,13 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.core.meshes import across, sampled
-from realsim.core.types import TerrainMesh
+from realsim.core.types import F64, TerrainMesh
 from realsim.export.contact.base import Geom, floor_around, floor_plane
 from realsim.export.contact.columns import Columns, check_extent, columns
 from realsim.export.contact.probe import Reference
 from realsim.export.contact.undersides import Walls, settle
 
-F64 = NDArray[np.float64]
 CELL = 0.005  # metres; of a mesh that is exact as fine as...
 FINEST = 0.0005  # metres; and...
 WITHIN = 4.0  # cells in its thinnest wall (a round post of 4 has the 12 that make a plane); at least...

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-F64 = NDArray[np.float64]
+from realsim.core.types import F64
+
 Edge = tuple[int, int]
 FARTHEST = 3.0  # tolerances
 SHORT = 7.0  # cells: shorter sides may be what is left of a corner

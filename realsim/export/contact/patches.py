@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.core import meshes
+from realsim.core.types import F64
 
-F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 NEIGHBOURS = 12
 ALIKE = 0.8  # least cosine between a point's normal and its patch's

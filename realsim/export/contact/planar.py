@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from realsim.core.types import F64
 from realsim.export.contact.islands import Island, Terrain
 from realsim.export.contact.outline import convex_parts, outlines
 from realsim.export.contact.planes import SMALLEST, Misfit, Window, from_corner, heights, misfit, segment, spread
 from realsim.export.contact.prisms import Prism
 
-F64 = NDArray[np.float64]
 DEPTH = 0.05  # metres that solids reach into the ground
 THINNEST = 0.003  # metres
 THINNEST_DECK = 0.02  # metres

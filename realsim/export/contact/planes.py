@@ -7,7 +7,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-F64 = NDArray[np.float64]
+from realsim.core.types import F64
+
 I64 = NDArray[np.int64]
 Window = tuple[slice, slice]
 Misfit = Callable[..., F64]

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from realsim.core.geometry import R_to_quat, quat_to_R
 from realsim.core.meshes import across, areas
+from realsim.core.types import F64
 from realsim.export.contact.base import Asset, Geom
 
-F64 = NDArray[np.float64]
 ONE_PLANE = 1e-3
 """Cosine from 1, and metres, by which the triangles of a hull that lie in one face may differ."""
 SQUARE = 1e-4

@@ -7,13 +7,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from realsim.core.geometry import R_to_quat, quat_to_R
+from realsim.core.types import F64
 from realsim.export.contact.base import Asset, ContactModel, Geom
 from realsim.export.contact.polytope import Polytope
 
-F64 = NDArray[np.float64]
 FLAT = 1e-4  # metres: corners are written to a hundredth of a millimetre, and MuJoCo finds no hull of a plane
 
 

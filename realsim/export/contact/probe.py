@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.core.meshes import across
+from realsim.core.types import F64
 from realsim.export.contact.base import ContactModel
 from realsim.export.contact.rays import Rays
 from realsim.export.mjcf import contact_elements
 
-F64 = NDArray[np.float64]
 MARGIN = 0.03  # metres within which MuJoCo is asked to report distances
 BALL_RADIUS = 0.01
 CEILING = 1.8  # metres above the ground: what faces down up there is not stepped on

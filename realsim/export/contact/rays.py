@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from realsim.core import rays
 from realsim.core.meshes import compact, connected, faces_by_place
+from realsim.core.types import F64
 
-F64 = NDArray[np.float64]
 MOST = 256  # pieces kept apart; of a scan's thousands of specks, the smaller ones share
 
 

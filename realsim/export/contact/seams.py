@@ -13,15 +13,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from realsim.core.progress import track
+from realsim.core.types import F64
 from realsim.export.contact.base import Asset, ContactModel, Geom
 from realsim.export.contact.merge import ADDS, Neighbours, Whole, merged
 from realsim.export.contact.outline import hull
 from realsim.export.contact.polytope import Face, Polytope
 
-F64 = NDArray[np.float64]
 REACH = 0.02
 """Metres by which one part reaches into the next."""
 FARTHER = 0.06

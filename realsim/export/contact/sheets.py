@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from realsim.core.meshes import areas
 from realsim.core.progress import track
+from realsim.core.types import F64
 from realsim.export.config import SceneConfig
 from realsim.export.contact.base import ContactModel, Geom
 from realsim.export.contact.columns import SHEET
@@ -27,7 +28,6 @@ from realsim.export.contact.probe import Reference
 from realsim.export.contact.seams import overlap
 from realsim.export.contact.shape import Shape
 
-F64 = NDArray[np.float64]
 Slab = tuple[Prism, F64 | None, F64 | None]
 # Set while looking at three real scans (Kinect stairs, a LiDAR room, a phone scan of a chair), FELT also at two more
 # (boxes on a floor, slambook). What `sheets` gains is measured scene by scene against the other representations.

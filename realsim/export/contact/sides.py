@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from realsim.core.types import F64
 from realsim.export.contact.probe import (
     BALL,
     BALL_RADIUS,
@@ -17,7 +17,6 @@ from realsim.export.contact.probe import (
     triangles_of,
 )
 
-F64 = NDArray[np.float64]
 HEIGHTS = (0.1, 0.5, 1.0)  # metres above the ground: toes, knees, hips
 GRAZES = 0.003  # metres below those: a box of just 0.5 m would be hit or missed by rounding
 PLACES, WAYS = 40, 24  # places a height, directions a place

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from realsim.core.types import F64
 from realsim.export.contact.islands import Island, Terrain
 
-F64 = NDArray[np.float64]
 DEPTH = 0.02  # metres that solids reach into the ground
 
 

@@ -6,10 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.core.meshes import across
-from realsim.core.types import TerrainMesh
+from realsim.core.types import F64, TerrainMesh
 from realsim.export.contact.columns import NARROW, Columns
 
-F64 = NDArray[np.float64]
 STEEP = 0.5  # most |z| of a side face's normal
 BIN = 4  # cells: side faces are looked at in pieces of the rim
 ENOUGH = 5  # pieces of the rim that have to agree on where the side faces end

@@ -15,11 +15,11 @@ from realsim.core.errors import ExportError
 from realsim.core.files import check_size
 from realsim.core.meshes import across, height_field, merged
 from realsim.core.mjcf import check_mjcf
+from realsim.core.types import F64
 from realsim.export.contact.polytope import SIGNS
 
 T = TypeVar("T")
 
-F64 = NDArray[np.float64]
 DRAWN_OFF = 0.05  # of the scene's length: simplifying to 80,000 triangles moves the ends by millimetres
 FLOOR_REACH = 10.0  # metres of floor around a scene in formats that know no infinite plane
 
