@@ -1,7 +1,5 @@
 """Figures go to disk row by row, so that a run that is interrupted keeps what is finished."""
 
-from __future__ import annotations
-
 import json
 import os
 import platform

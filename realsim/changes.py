@@ -7,8 +7,6 @@ heights are compared on a grid. A cell counts only where both scans saw it, and 
 heights around it before: an edge that is a centimetre off is no change.
 """
 
-from __future__ import annotations
-
 import io
 from dataclasses import dataclass
 from pathlib import Path

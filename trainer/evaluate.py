@@ -4,8 +4,6 @@ Paper, sec. IV-A: a trial begins on the start platform with a constant forward c
 the goal platform without touching the ground or falling; 1000 trials.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial

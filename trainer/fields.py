@@ -1,7 +1,5 @@
 """Dataclasses out of what anybody may have written: JSON, TOML, the header of a checkpoint."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from math import isfinite

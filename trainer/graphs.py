@@ -1,7 +1,5 @@
 """Functions as CUDA graphs: one launch instead of hundreds of small ones, for which the GPU waits."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, is_dataclass

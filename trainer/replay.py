@@ -1,7 +1,5 @@
 """One trial to look at: recorded once, then drawn as a video or written as an animated model."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A recorded trial as an animated glTF 2.0 binary: any viewer plays it, the camera is the viewer's own."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

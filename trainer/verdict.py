@@ -1,7 +1,5 @@
 """Whether a fine-tuned policy is better than its base, by trials; which of them is delivered, and what to try."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass
 from math import comb

@@ -9,8 +9,6 @@ inside the solid for the last fifth of a second. Rows go to benchmarks/results/c
 is up, of every mesh as it is and turned.
 """
 
-from __future__ import annotations
-
 import argparse
 import tempfile
 import time

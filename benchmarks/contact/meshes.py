@@ -14,8 +14,6 @@ after --row-seconds of processor time; that it was is then its row. Representati
 terrains of EXPENSIVE only.
 """
 
-from __future__ import annotations
-
 import argparse
 import multiprocessing
 import os

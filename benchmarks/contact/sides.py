@@ -7,8 +7,6 @@ in a process of its own, with what it took. Rows go to benchmarks/results/sides.
 `realsim/export/contact/fidelity.py`; `benchmarks/scenes/real_captures.py` has them of real captures.
 """
 
-from __future__ import annotations
-
 import argparse
 import multiprocessing
 import resource

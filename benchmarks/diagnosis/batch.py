@@ -8,8 +8,6 @@ fresh made seed, real report logs (real.py): the answers lie in a folder each be
 logs are scored by `withheld.py --score --work OUT/fresh/as_drawn` and `real.py score --work OUT/real --part report`.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import subprocess

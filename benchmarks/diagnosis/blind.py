@@ -7,8 +7,6 @@ The cases cannot be scored here. They were never developed on: run them when the
 out. Answers of several engines are refused.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import sys

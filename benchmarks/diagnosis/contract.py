@@ -13,8 +13,6 @@ targets, in the metadata that the loop believes, or between the loop and the net
 to set the thresholds; withheld seeds start at 1000.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

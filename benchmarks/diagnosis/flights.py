@@ -9,8 +9,6 @@ lies otherwise and is at another voltage in every flight. The other flights are 
 the air; three without the yaw in their log (propeller cut by 3 mm, E8) are not.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import sys

@@ -6,8 +6,6 @@ One change a case, on terrains that no figure was set on, and terrains without a
 benchmarks/results/footholds.json.
 """
 
-from __future__ import annotations
-
 import argparse
 import tempfile
 import time

@@ -14,8 +14,6 @@ shifted from l to l + d, if m r = M d and r = 2 l + d. An ambiguous case for whi
 one that is not decided. Rows are stored by seed, case and engine; an interrupted run goes on.
 """
 
-from __future__ import annotations
-
 import argparse
 import copy
 import json

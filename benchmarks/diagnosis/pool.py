@@ -1,7 +1,5 @@
 """Diagnoses many cases in processes of their own; what is done stays, so that an interrupted run goes on."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import json

@@ -8,8 +8,6 @@ Cases with an error put into the model of a real robot (real_logs/errors_put_in)
 so that two of them can be compared pair by pair, and several processes share one.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -10,8 +10,6 @@ it. So the labels are exact, while noise, clocks and what no model explains are 
 development or for the report, never both. Rows say which engine gave them; no two are scored together.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

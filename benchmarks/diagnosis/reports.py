@@ -6,8 +6,6 @@ Small made robots (tests/gap/truth.py, with everyday deviations) that differ fro
 it names no size, the size stands here. The other nine of the eighteen reports are in contract.py.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass

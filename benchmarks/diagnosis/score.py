@@ -1,7 +1,5 @@
 """Scores diagnoses against labels: verdict, cause and place, false alarms, open set, intervals, shrinkage, power."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

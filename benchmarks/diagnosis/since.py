@@ -8,8 +8,6 @@ on other commands; in every second pair another cause has come up in between. Co
 none. Rows of another engine are measured again.
 """
 
-from __future__ import annotations
-
 import argparse
 import copy
 import json

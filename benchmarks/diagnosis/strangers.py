@@ -7,8 +7,6 @@ Robots are MuJoCo's at a finer step, with everyday deviations, coarse encoders, 
 this engine has answered is not diagnosed again.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -8,8 +8,6 @@ The same cases (same robots, causes, commands) with the generator's everyday dev
 and 3. Only one of the two is changed at a time. All levels are of one engine, or nothing is printed.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import sys

@@ -8,8 +8,6 @@ parts was developed on four other flights of this drone: as modelled, with a pay
 mass 1 cm off; the last one asked for parts that also end where the replay leaves the log.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Sequence

@@ -9,8 +9,6 @@ same cases everywhere; results/diagnosis.json holds the cases of every seed that
 engines are not scored together: each says which engine gave it.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -24,8 +24,6 @@ Trials are kept in a journal, so that a run goes on where it ended. Counts by se
 go to benchmarks/results/fuzz.json.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import json

@@ -14,8 +14,6 @@
 The first four say nothing false. `exchanged`, `plausible` and `silent` are stored one by one, with what came out.
 """
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from collections.abc import Mapping

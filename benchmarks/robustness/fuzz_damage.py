@@ -3,8 +3,6 @@
 A damage is a name, what it does to a file, and what it applies to: BYTES and FILES to any file, CONTENT by suffix.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import math

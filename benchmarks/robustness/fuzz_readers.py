@@ -7,8 +7,6 @@ errors, and say nothing of how librealsense reads a damaged bag. Bags of ROS 1 a
 and read by the real libraries.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import math

@@ -1,7 +1,5 @@
 """Small sound examples of everything that realsim reads, for benchmarks/robustness/fuzz.py to damage."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import sys

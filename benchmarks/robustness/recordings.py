@@ -8,8 +8,6 @@ measured torques of every run are the robot's, joint by joint, in SI units; it m
 that could be written with a wrong pairing, unit or torque and no mark. Six inputs that no case should come from follow.
 """
 
-from __future__ import annotations
-
 import argparse
 import io
 import json

@@ -7,8 +7,6 @@ by default. Collision geometry is measured twice (`realsim/export/contact/fideli
 chosen, and against the truth. Rows go to benchmarks/results/clouds.json.
 """
 
-from __future__ import annotations
-
 import argparse
 import tempfile
 from pathlib import Path

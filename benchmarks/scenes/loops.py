@@ -13,8 +13,6 @@ pose relative to the frames before and after it, or the trajectory. A loop is ke
 believed, and frames of both visits that share surface lie within 30 mm of where they are to each other.
 """
 
-from __future__ import annotations
-
 import sys
 import tempfile
 import time

@@ -12,8 +12,6 @@ between frames that follow each other, wall-clock seconds of the stage, pairs th
 and joined (where it was not asked, the row without it is a copy); with --scenes also the mesh's F-score at 1 cm.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import sys

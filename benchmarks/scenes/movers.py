@@ -7,8 +7,6 @@ frames and leaves; `shifts` from foot to foot. `foot`, `shin`, `hand`, `bumper`,
 picture. False is surface of the mesh more than 3 cm from any true one. Rows go to benchmarks/results/movers.json.
 """
 
-from __future__ import annotations
-
 import argparse
 import tempfile
 from dataclasses import asdict, replace

@@ -7,8 +7,6 @@ Each is reconstructed by the command, in a process of its own. What `known` is c
 capture; figures under `found` are set against it. There is no exact truth: see `benchmarks/scenes/reconstruct.py` for
 that."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

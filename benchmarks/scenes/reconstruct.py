@@ -8,8 +8,6 @@ repository. Each run has a process of its own, one after the other, so that time
 figure goes to benchmarks/results/ as soon as it is there; what failed is only printed.
 """
 
-from __future__ import annotations
-
 import json
 import multiprocessing
 import os

@@ -1,7 +1,5 @@
 """What others would do with the same frames: Open3D's reconstruction steps, and plain TSDF with the true poses."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

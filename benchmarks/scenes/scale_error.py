@@ -11,8 +11,6 @@ see. Terrains carry the paper's names and follow its descriptions; they are not 
 benchmarks/results/.
 """
 
-from __future__ import annotations
-
 import sys
 import tempfile
 import time

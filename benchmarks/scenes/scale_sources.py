@@ -4,8 +4,6 @@
 about any product. `onnx` and `onnx+depth` run the model that ships.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The public functions with their first sentence, for who reads docs/api.md where it is not rendered."""
 
-from __future__ import annotations
-
 import inspect
 
 import realsim

@@ -1,7 +1,5 @@
 """Tables of the diagnosis, of logs and of experiments."""
 
-from __future__ import annotations
-
 from statistics import median
 
 from benchmarks.diagnosis import real as gap_real

@@ -1,7 +1,5 @@
 """The fresh seed of the diagnosis beside what is wanted: one engine, every answer."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 
 from benchmarks.diagnosis import score as gap_score

@@ -1,7 +1,5 @@
 """The index of benchmarks/results: claim, command, commit, date, machine."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any
 

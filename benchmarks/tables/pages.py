@@ -7,8 +7,6 @@ A table is between `<!-- figures: NAME -->` and `<!-- end -->`. benchmarks/resul
 them; rows of earlier ones are in the history of git. The pictures of the report are made from the same rows.
 """
 
-from __future__ import annotations
-
 import argparse
 import re
 import sys

@@ -1,7 +1,5 @@
 """Pictures of stored rows, as SVG files that need no style sheet: those of the report, and two of the docs."""
 
-from __future__ import annotations
-
 import re
 
 from benchmarks.tables.diagnosis import real_figures

@@ -1,7 +1,5 @@
 """Tables of policies: the bases that ship and test-time training."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from statistics import mean
 

@@ -1,7 +1,5 @@
 """README's table."""
 
-from __future__ import annotations
-
 from benchmarks.scenes import reconstruct
 from benchmarks.tables.diagnosis import real_figures
 from benchmarks.tables.fresh import DRAWN, FRESH, measures, rows_of

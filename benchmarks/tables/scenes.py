@@ -1,7 +1,5 @@
 """Tables of captures, scale, contact and damaged files."""
 
-from __future__ import annotations
-
 from collections import Counter
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Rows of benchmarks/results, and what can be asked of those of the diagnosis."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Iterable

@@ -9,8 +9,6 @@ with all of it and pushes, and with little of it where the robot's links collide
 and stores the counts of every family at a difficulty, and of every test.
 """
 
-from __future__ import annotations
-
 import hashlib
 import sys
 from collections import Counter

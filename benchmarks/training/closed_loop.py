@@ -20,8 +20,6 @@ Every step keeps its result in loop/results.json, and is not done again; a robot
 benchmarks/results/close_the_gap.json.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

@@ -8,8 +8,6 @@ Trials are those of `realsim finetune`: all randomisation, nobody pushed. Severa
 how many did. Each keeps its rows in a file of its own (--out), which `merge FILE ...` adds to the store.
 """
 
-from __future__ import annotations
-
 import sys
 import time
 from collections import Counter

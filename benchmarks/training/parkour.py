@@ -7,8 +7,6 @@ In two parts, because few machines have both Open3D and a GPU. Rendering the fra
 videos.
 """
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -7,8 +7,6 @@ A push adds a velocity to the base every six seconds: along and across, each uni
 randomised a little (0.3 of its width), so that what is lost is lost by pushes. All tests run in one batch of worlds.
 """
 
-from __future__ import annotations
-
 import sys
 from dataclasses import dataclass
 from pathlib import Path

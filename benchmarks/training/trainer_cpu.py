@@ -8,8 +8,6 @@ Training is exact over interruptions: it goes on from its last checkpoint as if 
 written to benchmarks/results/trainer_cpu.json; `make readme` draws it.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

@@ -10,8 +10,6 @@ physics is at its slowest. Rewards and lengths of episodes are kept beside the s
 must agree.
 """
 
-from __future__ import annotations
-
 import os
 import platform
 import sys

@@ -7,8 +7,6 @@
 the counts of every test. With little randomisation, as the first column of the card (base_policy.py).
 """
 
-from __future__ import annotations
-
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path

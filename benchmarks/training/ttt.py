@@ -14,8 +14,6 @@ robot's links collide with each other. Tests are ours, not the paper's: names an
 unknown (docs/paper.md).
 """
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Iterator, Mapping

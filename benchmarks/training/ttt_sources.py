@@ -3,8 +3,6 @@
 Each function fills a folder: what was recorded, and `scene`, what `realsim reconstruct` made of it with its defaults.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Ground, gravity, platforms: from a metric scene in its own world to the simulation frame."""
 
-from __future__ import annotations
-
 from realsim.align.scene import align
 from realsim.align.segment import SEGMENTERS
 

@@ -1,7 +1,5 @@
 """Options of the simulation frame."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import isfinite
 from typing import Annotated, Literal

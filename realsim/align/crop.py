@@ -1,7 +1,5 @@
 """Separates the terrain from surface that is cut away."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from realsim.align.cloud import Cloud

@@ -1,7 +1,5 @@
 """Level faces of a cloud: planes, smooth and connected regions, and whether one is large enough to stand on."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

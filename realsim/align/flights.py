@@ -7,8 +7,6 @@ From below, only the front edge of a tread is seen. A level edge as wide as a pe
 too: it reaches back to the next edge, or nobody could climb there. The last one is as deep as the one before.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 

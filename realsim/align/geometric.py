@@ -1,7 +1,5 @@
 """Segmentation by geometry alone: heights, normals and what is connected to what."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """Selects the ground plane, with its uncertainty and the evidence against it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Large planes of a cloud: RANSAC over normal-gated regions, then robust PCA."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Platforms: from labelled points to top faces with outline, centroid, size and height."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

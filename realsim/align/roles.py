@@ -1,7 +1,5 @@
 """Selects the start and goal platforms: by rule, or as the user says."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from realsim.align.config import AlignConfig

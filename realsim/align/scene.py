@@ -1,7 +1,5 @@
 """`align`: the stage itself, from a metric scene or a scan to the simulation frame."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Labels of points: a small interface, so that a learned segmentation can replace the geometric one."""
 
-from __future__ import annotations
-
 from enum import IntEnum
 from typing import Protocol
 

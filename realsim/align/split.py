@@ -6,8 +6,6 @@ which the mean heights on both sides differ. And a platform has room for a disc 
 only touches it does not: an opening by that disc (Serra 1982, chapter 2) removes whatever is narrower.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Is a mesh wound inside out? Its triangles' sides are what tells a floor from a ceiling."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from realsim.core.types import F64

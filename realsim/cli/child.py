@@ -3,8 +3,6 @@
 A process that is killed outright can end nothing itself. (Linux; elsewhere the command runs to its end.)
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

@@ -1,7 +1,5 @@
 """What a command is: one declaration, from which command line, help, completion and tools for agents are made."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any

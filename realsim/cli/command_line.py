@@ -1,7 +1,5 @@
 """The command line: `realsim COMMAND ...`. Every command is a function elsewhere (`table`); this file calls it."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal

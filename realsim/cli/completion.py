@@ -1,7 +1,5 @@
 """Completion of commands and options in a shell: `realsim --completion bash|zsh|fish` prints the script."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 
 from realsim.cli.options import options_of

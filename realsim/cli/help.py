@@ -1,7 +1,5 @@
 """What `--help` shows: the list of commands, and a command's options."""
 
-from __future__ import annotations
-
 import shutil
 import textwrap
 from collections.abc import Iterable, Sequence

@@ -5,8 +5,6 @@ arguments from the events that it reports. Both are outside of its stable interf
 version, and tests/cli/test_options.py says what is relied on.
 """
 
-from __future__ import annotations
-
 import functools
 import inspect
 import re

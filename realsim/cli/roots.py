@@ -1,7 +1,5 @@
 """Folders beyond which nothing is read or written, whatever a caller asks for."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from pathlib import Path

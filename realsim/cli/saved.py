@@ -1,7 +1,5 @@
 """Options from a file or a preset: `--config report.json`, `--preset stairs`. What is typed as well wins."""
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass, replace

@@ -1,8 +1,6 @@
 """Commands in processes of their own, as the page, the tools for agents and jobs start them: a crash of one is an
 error of one, and whoever starts a command ends it."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import os

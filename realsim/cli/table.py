@@ -1,7 +1,5 @@
 """All commands. One that is added here, or by an entry point of a package, is everywhere: see `Command`."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache

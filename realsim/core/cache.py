@@ -6,8 +6,6 @@ of `realsim.core.types` made of plain values and arrays, stored as one .npz with
 the folder grows beyond its limit.
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import io

@@ -1,7 +1,5 @@
 """Shares of what a robot would feel that both verdicts, of a mesh and of a capture, check and reject."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The version of MuJoCo that computes: 3 or 4, and which of them not."""
 
-from __future__ import annotations
-
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 

@@ -4,8 +4,6 @@ Every error that a user can cause is a `RealsimError`: it names the file, what w
 what to do. The command line prints it without a traceback and exits with code 2.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from importlib import import_module

@@ -1,7 +1,5 @@
 """Reading with limits, writing whole or not at all."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import fcntl

@@ -4,8 +4,6 @@ Conventions (docs/conventions.md): column vectors, `T_a_b` maps points of frame 
 OpenCV's (x right, y down, z forward), the centre of the first pixel is (0, 0), quaternions are w x y z.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 

@@ -7,8 +7,6 @@ the same optimum (tests/core/test_least_squares.py) but knows neither poses, who
 several residuals together, nor exact solutions of sparse systems.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar

@@ -1,7 +1,5 @@
 """Limits of the numbers in a configuration."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from math import isfinite
 from operator import ge, gt, le

@@ -1,7 +1,5 @@
 """MCAP files with JSON messages, which Foxglove, PlotJuggler and Rerun open."""
 
-from __future__ import annotations
-
 import io
 import json
 from collections.abc import Iterable, Mapping

@@ -1,7 +1,5 @@
 """Small operations on triangle meshes that several packages share."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -4,8 +4,6 @@ MuJoCo expands `<replicate>`, `<composite>` and built-in textures while it reads
 minutes and gigabytes. What a file becomes is counted before.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from pathlib import Path

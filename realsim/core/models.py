@@ -1,7 +1,5 @@
 """What a MuJoCo model must hold to be simulated."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

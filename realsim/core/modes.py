@@ -1,7 +1,5 @@
 """Comparison of sources of points: figures of one capture's scene by each of them."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from realsim.core.meshes import across, areas, sampled

@@ -1,7 +1,5 @@
 """Parts of what results show in a notebook: HTML without style sheets or scripts."""
 
-from __future__ import annotations
-
 from html import escape
 
 import numpy as np

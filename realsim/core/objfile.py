@@ -1,7 +1,5 @@
 """Wavefront OBJ: all faces of all objects and groups, by absolute or relative indices."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

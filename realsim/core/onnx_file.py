@@ -4,8 +4,6 @@ What onnxruntime says about a broken file is one sentence for all causes. Here t
 message can name the cause: not ONNX, weights in another file that is absent, an opset from the future.
 """
 
-from __future__ import annotations
-
 import mmap
 import os
 from collections.abc import Iterator

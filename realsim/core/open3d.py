@@ -3,8 +3,6 @@
 For functions to import: Open3D itself takes most of a second.
 """
 
-from __future__ import annotations
-
 import sys
 from importlib import import_module
 from types import ModuleType

@@ -1,7 +1,5 @@
 """Work on many views at a time, handed on in order: reading an image releases the interpreter, so threads help."""
 
-from __future__ import annotations
-
 import os
 from collections import deque
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Progress that a person can watch and a pipe does not see."""
 
-from __future__ import annotations
-
 import json
 import signal
 import time

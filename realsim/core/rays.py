@@ -1,7 +1,5 @@
 """Rays against a triangle mesh, by Open3D's ray caster (Embree), which calculates in float32."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

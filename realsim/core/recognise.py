@@ -4,8 +4,6 @@ For messages: whoever gives a folder of CSVs to `realsim diagnose` is told of `r
 few names and the head of a file; readers decide for themselves what they can read.
 """
 
-from __future__ import annotations
-
 import functools
 import inspect
 import os

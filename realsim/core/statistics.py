@@ -3,8 +3,6 @@
 The bootstrap (Efron 1979) draws whole units: frames, blocks of ground, half seconds of a log.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -4,8 +4,6 @@ Lines before the header, a line of units below it, and a header that is missing 
 begin.
 """
 
-from __future__ import annotations
-
 import csv
 import re
 import sys

@@ -1,7 +1,5 @@
 """Collision geometry for any mesh from anywhere."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from math import isfinite

@@ -1,7 +1,5 @@
 """Is the scene on disk what it says? Compile it, step it, and drop things on its platforms."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Options of the scene on disk."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """A glTF 2.0 binary while it grows: arrays, meshes, nodes, animations."""
 
-from __future__ import annotations
-
 import json
 import struct
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Height of the ground of a mesh: its own floor, or its lowest point; and the surface that a ground hides."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

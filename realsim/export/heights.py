@@ -1,7 +1,5 @@
 """Heights of a mesh on a regular grid, seen from straight above."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

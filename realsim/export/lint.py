@@ -1,7 +1,5 @@
 """What a user's own MJCF collides as: the measure of `contact`, on the static geoms of any model."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

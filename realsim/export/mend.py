@@ -1,7 +1,5 @@
 """Any mesh made fit for collision: read, checked and repaired, with a list of the repairs."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The text of scene.xml."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET  # writing only
 from collections.abc import Iterable, Sequence
 

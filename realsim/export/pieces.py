@@ -1,7 +1,5 @@
 """Closed convex pieces of a mesh, and triangles that it has twice."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """An aligned scene and its mesh become a folder that MuJoCo opens."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Solids of a mesh that overlap, made one: what lies inside another solid is no surface that anything can touch."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

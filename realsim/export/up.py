@@ -1,7 +1,5 @@
 """Which axis of a mesh file points up."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

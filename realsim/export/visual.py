@@ -1,7 +1,5 @@
 """The mesh as MuJoCo draws it: OBJ with a texture. MuJoCo knows no vertex colours, so they are baked."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """Triangles that face the wrong way among their neighbours, turned round."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

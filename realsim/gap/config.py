@@ -1,7 +1,5 @@
 """Options of a diagnosis."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass, field
 from pathlib import Path

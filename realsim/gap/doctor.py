@@ -1,8 +1,6 @@
 """It walks in simulation and not on the robot: contract, delay, physics, camera and terrain of one log, in this order,
 on one page, each with the setting to change."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path

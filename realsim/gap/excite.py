@@ -1,7 +1,5 @@
 """From a case, or its diagnosis on disk, to the folder of an experiment."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any

@@ -4,8 +4,6 @@
 time that a case takes: a larger value may only find more. "Not tuned": set once, never compared.
 """
 
-from __future__ import annotations
-
 # ---------------------------------------------------------------- the score, in nats (log-likelihood)
 PRICE = 4.0
 """A parameter that the data determine, and an effect that is rarer than another one that does the same

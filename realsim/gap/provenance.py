@@ -1,7 +1,5 @@
 """Identifies the engine of an answer: answers are comparable only if these sources and settings are equal."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from functools import cache
 from hashlib import sha256

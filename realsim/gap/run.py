@@ -1,7 +1,5 @@
 """One case on disk: read, diagnose, write."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A new case from a model: log.json filled in as far as the model says, and a place for the runs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from realsim.core.errors import GapError

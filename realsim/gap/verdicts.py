@@ -1,7 +1,5 @@
 """What a diagnosis concludes, and how each conclusion is worded: one table for terminal, page, JSON and exit code."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Literal

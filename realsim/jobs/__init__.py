@@ -1,7 +1,5 @@
 """Many inputs: a process pool here, a Slurm array, or a Ray cluster."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path

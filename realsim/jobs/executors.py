@@ -1,7 +1,5 @@
 """Where jobs are carried out: an executor starts `carry_out` for each job, here or on another machine."""
 
-from __future__ import annotations
-
 import logging
 import os
 import socket

@@ -4,8 +4,6 @@ FOLDER/NAME-KEY/log.txt        what the command printed beside its result; it wa
 FOLDER/NAME-KEY/result.json    what became of it
 """
 
-from __future__ import annotations
-
 import os
 import subprocess
 import tempfile

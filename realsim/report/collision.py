@@ -1,7 +1,5 @@
 """Collision geometry of a compiled scene, and its robot, as triangles for display."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

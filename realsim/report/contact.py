@@ -1,7 +1,5 @@
 """Contact in the simulator against the surface that was seen: one card of the report."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

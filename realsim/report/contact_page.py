@@ -1,7 +1,5 @@
 """report.html of `realsim contact`: whether a mesh's collision geometry can be used, shown and measured."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

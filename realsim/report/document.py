@@ -1,7 +1,5 @@
 """report.html of a reconstruction, from top to bottom."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

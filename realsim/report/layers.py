@@ -1,7 +1,5 @@
 """The layers of a scene's 3D view: mesh, invented parts, collision geometry, robot, cameras, platforms, axes."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

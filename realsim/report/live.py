@@ -1,7 +1,5 @@
 """A live viewer of a scene folder in the browser (viser), with a switch for each layer."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import io

@@ -1,7 +1,5 @@
 """Places that decide a verdict, as the map and the 3D view mark them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Sources of points side by side, where a comparison was asked for."""
 
-from __future__ import annotations
-
 from realsim.core.types import Mode, Reconstruction
 from realsim.report import page
 from realsim.report.verdict import millimetres

@@ -4,8 +4,6 @@ Every function returns a piece of HTML as text. Text that comes from data goes t
 passed on as they are. A page needs no network: style, scripts, pictures and meshes are inside it.
 """
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Sequence

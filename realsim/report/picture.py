@@ -4,8 +4,6 @@ Drawing runs in a process of its own: MuJoCo chooses its OpenGL library when it 
 the process. As a script: `python -m realsim.report.picture SCENE.xml OUT.png WIDTH HEIGHT`.
 """
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Pictures as data URIs: colour maps, PNG for figures, WebP for photographs and maps. Same array, same bytes."""
 
-from __future__ import annotations
-
 import base64
 import struct
 import zlib

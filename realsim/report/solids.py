@@ -1,7 +1,5 @@
 """MuJoCo geoms as triangles to look at: simple solids, meshes, and rods where a robot has no shape."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The scene from above: height of the mesh, platforms, axes, start and goal, and the way the camera went."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

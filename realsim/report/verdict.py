@@ -1,7 +1,5 @@
 """Can this scene be trusted? A few checks with stated limits; the worst of them is the verdict."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass

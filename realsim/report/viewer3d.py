@@ -5,8 +5,6 @@ numbered as the cells first use them, so that neighbours in the file are neighbo
 plane a byte, deflate to a quarter. The page has them as base64, so that the file opens from disk without a network.
 """
 
-from __future__ import annotations
-
 import base64
 import json
 import zlib

@@ -1,7 +1,5 @@
 """report.json and report.html of a reconstruction."""
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 A robot is a function `() -> Robot`. `menagerie:NAME` reaches for MuJoCo Menagerie instead (extra `menagerie`).
 """
 
-from __future__ import annotations
-
 from realsim.core.errors import UnknownNameError
 from realsim.core.registry import Registry
 from realsim.robots.base import Robot

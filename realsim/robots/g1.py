@@ -3,8 +3,6 @@
 The table's figures are Unitree's description (BSD-3-Clause) as shipped by mjlab (Apache-2.0); it names its sources.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from importlib.resources import files

@@ -5,8 +5,6 @@ spheres on the calves there, are bodies of their own here, level when the robot 
 camera are ours: the table has none.
 """
 
-from __future__ import annotations
-
 import json
 from importlib.resources import files
 from typing import Any

@@ -1,7 +1,5 @@
 """Robots of MuJoCo Menagerie, through the package robot_descriptions (extra `menagerie`)."""
 
-from __future__ import annotations
-
 from importlib import import_module
 from pathlib import Path
 from typing import Any

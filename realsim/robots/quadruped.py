@@ -4,8 +4,6 @@ Its figures are plausible ones of a small electric quadruped (a trunk of 0.38 m 
 of 24 to 36 N m), written down here and belonging to no product. Every collision geom is a capsule or a sphere.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -5,8 +5,6 @@ An estimator answers one question for one frame: how many metres is a unit? It i
 `realsim.scale.metric`.
 """
 
-from __future__ import annotations
-
 from realsim.scale.metric import ESTIMATORS, estimate, to_metric
 
 __all__ = ["ESTIMATORS", "estimate", "to_metric"]

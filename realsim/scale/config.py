@@ -1,7 +1,5 @@
 """Options of the metric scale."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from typing import Annotated, Literal

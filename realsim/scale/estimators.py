@@ -1,7 +1,5 @@
 """Estimators: how many metres is a unit, by one frame? Each function is a line in `realsim.scale.metric.ESTIMATORS`."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from realsim.core.types import F64, Bool

@@ -1,7 +1,5 @@
 """From pointmaps up to scale to a metric scene, with an interval and a refusal where frames disagree."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

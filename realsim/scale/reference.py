@@ -5,8 +5,6 @@ Bartoli 2014); that distance over the one that the pointmap has there is the fra
 the pointmaps, and their distance in all frames that see them both.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 

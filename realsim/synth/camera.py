@@ -1,7 +1,5 @@
 """A camera in a walking person's hands, and what a stereo depth sensor makes of true depth."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Writes a synthetic capture in the layout of its sensor, and its truth beside it."""
 
-from __future__ import annotations
-
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass

@@ -1,7 +1,5 @@
 """Options of a synthetic capture."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated, Literal
 

@@ -4,8 +4,6 @@ Each takes a generator and returns `(solids, length)`: obstacles standing on the
 from x = 0 to x = `length`, and y = 0 its middle. The sizes are those of the paper's terrains.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from realsim.synth.solids import Solid, box, cylinder, prism, rz

@@ -5,8 +5,6 @@ only the way that the camera came tells them apart. Each function takes a genera
 through `once` (so that nothing it sees late is what it saw early), and returns a `Place`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Rays into a terrain: true depth, and a colour picture with texture, two lamps and soft shadows."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A whole scene: platforms at both ends of a course, the floor, and a room with walls and clutter around it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

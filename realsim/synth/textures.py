@@ -1,7 +1,5 @@
 """Materials as square colour tiles, made from noise; they repeat without a seam."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

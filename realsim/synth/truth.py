@@ -1,7 +1,5 @@
 """The truth of a synthetic capture on disk: what is there, which part of it was seen, and where the cameras stood."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """`realsim close`: from the log of a deployment to a policy for the robot as it is."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Shared parts of the trainer's commands. Imported first, so that a missing package is reported at once."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """`realsim evaluate`: how often a policy gets there, and what happens when it does not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory

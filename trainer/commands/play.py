@@ -1,7 +1,5 @@
 """`realsim play`: look at a trial."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """`realsim pretrain`: a base policy."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated

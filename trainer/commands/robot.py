@@ -1,7 +1,5 @@
 """`realsim robot`: a robot of one's own, from its model to one that can be trained."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Literal

@@ -1,7 +1,5 @@
 """The task from a file: only what differs from the paper's defaults need be written down."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from realsim.core.files import read_json

@@ -1,7 +1,5 @@
 """`realsim training report`: look at training runs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Literal
 

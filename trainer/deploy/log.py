@@ -7,8 +7,6 @@
 Samples stay in memory while the robot moves, so that no disk delays a step, and are written once it has stopped.
 """
 
-from __future__ import annotations
-
 import io
 import shutil
 import tempfile

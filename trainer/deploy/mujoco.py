@@ -1,7 +1,5 @@
 """MuJoCo in the loop: the simulated robot behind the interface of a real one."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 

@@ -1,7 +1,5 @@
 """Readings to the inputs of a policy, by the layout that stands in its metadata: numpy only, for a small computer."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """Interface of robots driven by a policy: read the state, write joint targets, stop."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Protocol
 

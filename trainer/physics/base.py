@@ -1,7 +1,5 @@
 """The one interface between a task and an engine. The task is written once, in torch, against this."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol

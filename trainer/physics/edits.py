@@ -1,7 +1,5 @@
 """Per-world changes of a CPU model: domain randomisation and gap patches."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 from typing import Any
 

@@ -5,8 +5,6 @@ for contact over all physics steps. A model without physics gives the frames at 
 of the physics model are one step behind the state.
 """
 
-from __future__ import annotations
-
 import copy
 import os
 from collections import defaultdict

@@ -1,7 +1,5 @@
 """What the CPU engine reads from MuJoCo's sensors, and where it writes it."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import mujoco

@@ -1,7 +1,5 @@
 """Policies that ship: bases for fine-tuning, one a robot. CARD.md beside this file says how they were made."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from trainer.errors import TrainerError

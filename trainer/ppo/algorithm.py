@@ -1,7 +1,5 @@
 """Clipped PPO (Schulman et al. 2017) from built parts: a policy, a critic, an optimiser, a rollout."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any

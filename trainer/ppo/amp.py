@@ -4,8 +4,6 @@ Least-squares loss, D -> 1 on reference and -1 on the policy, a gradient penalty
 reward of the paper's table, weight * max[0, 1 - 0.25 (D - 1)^2], times the policy step like every other term.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import torch

@@ -1,7 +1,5 @@
 """Checkpoints: written whole or not at all, read without unpickling code, refused with a reason."""
 
-from __future__ import annotations
-
 import io
 import pickle
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Options of a learner. Every field is a command line option, its docstring the help."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Literal
 

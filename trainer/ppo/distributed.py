@@ -3,8 +3,6 @@
 Everything here is a no-op without a process group, so that the algorithm reads the same on one chip and on many.
 """
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Iterable, Iterator

@@ -1,7 +1,5 @@
 """A policy as ONNX: one file that a robot can run, with all that it must know about it in the metadata."""
 
-from __future__ import annotations
-
 import io
 import json
 import logging

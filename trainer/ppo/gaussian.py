@@ -1,7 +1,5 @@
 """A diagonal Gaussian, in the three formulas that PPO needs. Means are (N, J), `log_std` is (J,)."""
 
-from __future__ import annotations
-
 import math
 
 import torch

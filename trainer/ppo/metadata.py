@@ -1,7 +1,5 @@
 """The metadata of an exported policy, checked once, against themselves and against the graph, before a robot moves."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from pathlib import Path

@@ -5,8 +5,6 @@ kinematics. It is motion without forces: a style to prefer, not one that was eve
 its place: `trainer.ppo.amp.StylePrior` takes any features.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

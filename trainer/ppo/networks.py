@@ -5,8 +5,6 @@ adapter after each without knowing what is inside. Depth frames are the channels
 sees motion, and a stack costs little more than a frame.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 

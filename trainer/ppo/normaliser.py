@@ -1,7 +1,5 @@
 """Running normalisation of observations."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor, nn
 

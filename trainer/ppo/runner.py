@@ -1,7 +1,5 @@
 """One iteration of training: collect, improve, report. And all that it takes to go on from a checkpoint exactly."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Mapping, Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """The samples of one iteration, (steps, worlds, ...), and what PPO computes from them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ strategy's own parameters require a gradient. The exploration noise `log_std` is
 it is no part of the function that is deployed. The observation normaliser is frozen with the base.
 """
 
-from __future__ import annotations
-
 import math
 from typing import cast
 

@@ -1,7 +1,5 @@
 """Left-right symmetry, taught by samples: what the policy does in the mirror is its mirror image."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Protocol
 

@@ -1,7 +1,5 @@
 """Rays against terrain meshes: depth images and the height under a point."""
 
-from __future__ import annotations
-
 from typing import Protocol
 
 import torch

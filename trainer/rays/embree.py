@@ -1,7 +1,5 @@
 """Rays on the CPU: Open3D's RaycastingScene (Embree), one scene a terrain."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -4,8 +4,6 @@ Several runs are one colour each. The figures of long runs are means over as man
 the noise of two curves can be compared.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

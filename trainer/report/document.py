@@ -1,7 +1,5 @@
 """The page of one training run, or of several over each other."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from importlib.resources import files
 

@@ -1,7 +1,5 @@
 """How episodes end while training, and where along the course trials of `realsim evaluate` failed."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 

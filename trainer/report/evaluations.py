@@ -1,7 +1,5 @@
 """Trials that were run on a policy: evaluation*.json of `realsim evaluate`, and before and after in result.json."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Rendered trials of runs' policies, to look at beside their curves."""
 
-from __future__ import annotations
-
 import base64
 import tempfile
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Figures of runs side by side: at their ends, and after equally long training."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

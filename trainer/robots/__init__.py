@@ -9,8 +9,6 @@ where `mydog()` returns a `TrainedRobot`, as `trainer.robots.file.load(path)` do
 given in the place of a name too.
 """
 
-from __future__ import annotations
-
 from importlib.metadata import entry_points
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Robots of the trainer: those of `realsim.robots` with gains, limits and names that tasks need."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from realsim.core.types import F64

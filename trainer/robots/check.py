@@ -1,7 +1,5 @@
 """Whether a robot is simulated as its file means: it is stood up, dropped, and its joints are moved one by one."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any

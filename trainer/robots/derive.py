@@ -1,7 +1,5 @@
 """What training needs to know of a robot, read from its model."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A robot of one's own: a small file beside its model. `realsim robot new` guesses it, a person corrects it."""
 
-from __future__ import annotations
-
 import json
 import tomllib
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Unitree G1 with 29 joints, as the paper trains it: gains, action scale and camera by the rules of its table."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

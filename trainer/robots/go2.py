@@ -1,7 +1,5 @@
 """Unitree Go2 as the trainer sees it; its camera mount is ours (`realsim.robots.go2`)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from realsim.robots.go2 import JOINTS, LEGS

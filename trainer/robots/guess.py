@@ -1,7 +1,5 @@
 """What a model says of a robot that is to be trained, and a guess with its reason for what it does not."""
 
-from __future__ import annotations
-
 import os
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The quadruped of `realsim.robots.quadruped`: small, light to simulate, the trainer's second robot."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from realsim.robots.quadruped import JOINTS, LEGS, MOTORS

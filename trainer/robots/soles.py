@@ -1,7 +1,5 @@
 """Where a foot meets the ground."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import mujoco

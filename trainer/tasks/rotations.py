@@ -1,7 +1,5 @@
 """Batched quaternions (w x y z) in torch: the few operations that a task needs."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

@@ -3,8 +3,6 @@
 A family is a function `(difficulty, rng) -> Course` and one line here.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Interface of terrains: exact primitives for contact, one mesh for rays, two platforms."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The same terrain changed as a diagnosis or the doubt of a scale has it: larger, or with pieces at other heights."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any

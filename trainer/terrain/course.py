@@ -1,7 +1,5 @@
 """From obstacles on the ground to a `Terrain`: platforms at both ends, the simulation frame, the mesh."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Edges of footholds: where a sole can slip off. The reward for placing feet looks at them (the paper's appendix)."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -5,8 +5,6 @@ size and shape drawn at random; it gives no figures. Those here are chosen so th
 at the limit of a G1, whose foot is 17 to 20 cm long and 6 cm wide.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from realsim.core.geometry import make_T

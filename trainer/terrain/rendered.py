@@ -1,7 +1,5 @@
 """A generated course in a room, for `realsim.synth` to render: what a depth camera would see of it."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from realsim.synth.solids import Solid, hexahedron

@@ -1,7 +1,5 @@
 """A reconstructed scene as a terrain: the folder that `realsim reconstruct` writes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

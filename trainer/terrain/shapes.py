@@ -1,7 +1,5 @@
 """Oriented boxes placed on the ground z = 0, from which every generated obstacle is made."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from realsim.core.geometry import exp_so3, make_T, transform

@@ -1,7 +1,5 @@
 """The same course with wider tops: an easier one from which the way leads back to the true one."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any

@@ -6,8 +6,6 @@ A package of your own adds one with, in its pyproject.toml,
     mine = "my_package.trainer:train"
 """
 
-from __future__ import annotations
-
 from trainer.trainers.base import Scene, TrainConfig, Trainer, TrainResult
 
 __all__ = ["BUILT_IN", "Scene", "TrainConfig", "TrainResult", "Trainer", "find"]

@@ -1,7 +1,5 @@
 """The interface of trainers: scene + policy + config -> result."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Protocol

@@ -1,7 +1,5 @@
 """Help on a terrain that the base hardly crosses: the same course with wider tops, from which it narrows."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from trainer.tasks.parkour import ParkourConfig

@@ -1,7 +1,5 @@
 """The built-in learner: `trainer.ppo` in the parkour task."""
 
-from __future__ import annotations
-
 import gc
 import time
 from dataclasses import dataclass, replace

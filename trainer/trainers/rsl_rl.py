@@ -6,8 +6,6 @@ of mirror samples too; it does not resume bit for bit; no style prior, one proce
 the same parameters (tests/trainer/test_rsl_rl.py).
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import time

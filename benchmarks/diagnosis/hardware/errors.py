@@ -4,8 +4,6 @@ This shares no code with the effects of the diagnosis. An error changes an `MjSp
 `size` in a coordinate that is 0 without it; the label is what the robot has against the wrong model.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

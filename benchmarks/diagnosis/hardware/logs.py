@@ -4,8 +4,6 @@ Long runs are cut into windows, so that there are enough runs to fit a baseline 
 is known of a robot (its data sheet, its authors' description) stands in its model; what is not is fitted later.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """One file a command; `realsim.cli.command_line` finds them by name."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """`realsim contact`: collision geometry for any mesh from anywhere."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Literal
 

@@ -1,7 +1,5 @@
 """`realsim demo`: the main job end to end on an embedded default, measured against a truth that is known."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import sys

@@ -1,7 +1,5 @@
 """`realsim doctor`: one log and one policy -> what is wrong, in the order in which to look."""
 
-from __future__ import annotations
-
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated

@@ -1,7 +1,5 @@
 """`realsim excite`: the recording that decides between the rivals of an ambiguous diagnosis."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """`realsim export`: a scene in other formats."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Literal
 

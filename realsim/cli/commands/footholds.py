@@ -1,7 +1,5 @@
 """`realsim footholds`: a robot's log against the scene on which it walked."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """`realsim inspect`: how a capture is recognised, before anything is computed from it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

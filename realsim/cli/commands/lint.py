@@ -1,7 +1,5 @@
 """`realsim lint`: what the static geoms of any MJCF collide as."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """`realsim log`: what a recording holds, and the case that it becomes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated

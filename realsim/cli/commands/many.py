@@ -1,7 +1,5 @@
 """A command over many inputs: itself again for each of them, as jobs."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`realsim mcp`: realsim as tools for agents, over the Model Context Protocol."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

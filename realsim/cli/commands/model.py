@@ -1,7 +1,5 @@
 """`realsim model inspect`: how a feed-forward model in an ONNX file fits the contract."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Literal
 

@@ -1,7 +1,5 @@
 """`realsim reconstruct`: one capture, or many."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Any
 

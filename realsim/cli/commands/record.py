@@ -1,7 +1,5 @@
 """`realsim record`: frames of a RealSense camera, or of a recording, into a folder."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated

@@ -1,7 +1,5 @@
 """`realsim schema`: what a command prints with `--json`."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import tyro

@@ -1,7 +1,5 @@
 """`realsim synth`: a synthetic capture with its truth."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from realsim.cli.commands import CommandResult

@@ -1,7 +1,5 @@
 """`realsim view`: a scene in the browser, live."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -5,8 +5,6 @@ names first; it goes up when something is taken away or means something else, no
 Another package that adds commands has their files in `schemas/` of its top package.
 """
 
-from __future__ import annotations
-
 import json
 from importlib.util import find_spec
 from pathlib import Path

@@ -3,8 +3,6 @@
 A file that ends in the middle, as when the recorder was killed, is read as far as it goes.
 """
 
-from __future__ import annotations
-
 import re
 import struct
 import zlib

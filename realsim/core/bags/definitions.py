@@ -3,8 +3,6 @@
 Unitree's types as the robots send them (github.com/unitreerobotics/unitree_ros2, BSD-3-Clause).
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 _IMU = "float32[4] quaternion\nfloat32[3] gyroscope\nfloat32[3] accelerometer\nfloat32[3] rpy\n{} temperature\n"

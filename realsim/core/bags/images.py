@@ -1,7 +1,5 @@
 """ROS image messages to arrays: raw, jpeg, png, and depth as `compressedDepth` packs it; cameras and their topics."""
 
-from __future__ import annotations
-
 import io
 import re
 import struct

@@ -1,7 +1,5 @@
 """One stream of messages from any bag: a ROS 1 bag, a ROS 2 bag (folder, .db3) or MCAP, whole or cut off."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field

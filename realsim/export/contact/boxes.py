@@ -5,8 +5,6 @@ outline drawn down to the ground, or to the underside where there is one. Gaps s
 MuJoCo has to collide are boxes and small convex prisms.
 """
 
-from __future__ import annotations
-
 from realsim.export.config import SceneConfig
 from realsim.export.contact.base import ContactModel, UnsuitedError
 from realsim.export.contact.planes import MOST_SEEDS

@@ -1,7 +1,5 @@
 """Selects the representation: build, measure, and take the cheapest within tolerance."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial

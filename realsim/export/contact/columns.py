@@ -1,7 +1,5 @@
 """A mesh as columns: what is solid above each cell of a fine grid."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

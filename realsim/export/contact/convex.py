@@ -1,7 +1,5 @@
 """`convex`: approximate convex decomposition (CoACD) of every solid that stands on the ground."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

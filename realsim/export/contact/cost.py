@@ -1,7 +1,5 @@
 """Simulation cost of a representation: steps of G1 standing and stepping on it, relative to a plane."""
 
-from __future__ import annotations
-
 import time
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The error map of a representation as a picture."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from realsim.core.geometry import error_grid

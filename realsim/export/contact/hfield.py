@@ -1,8 +1,6 @@
 """`hfield`: one height field. Cheap on the CPU and faithful on level ground; edges become ramps one cell wide, and
 what overhangs is filled down to the ground."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

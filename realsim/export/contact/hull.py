@@ -1,7 +1,5 @@
 """`hull`: the convex hull of the whole mesh, which is what MuJoCo makes of a mesh geom. A baseline, not for use."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from realsim.export.config import SceneConfig

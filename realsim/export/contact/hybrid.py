@@ -1,7 +1,5 @@
 """`hybrid`: boxes and prisms where the surface is planar, convex decomposition for the rest."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from realsim.export.config import SceneConfig

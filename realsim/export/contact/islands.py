@@ -1,7 +1,5 @@
 """Connected objects on the ground."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Does anything get into what should be solid?"""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Parts whose hull adds nothing to the shape are made one: a frustum cut under each of its faces is one part again."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Outlines of regions on a grid, and their division into convex polygons."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

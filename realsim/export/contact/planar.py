@@ -5,8 +5,6 @@ and what reaches farther down hangs below it. Cut into a solid for every undersi
 on, and a foot would touch several parts at once: on an arch, a step took seven times as long as on a plane.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A height image in pieces that are planar."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

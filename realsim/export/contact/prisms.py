@@ -1,7 +1,5 @@
 """Convex outlines between two planes, and the boxes among them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Rays against a mesh whose pieces may touch: faces that lie in each other count as two."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`sdf`: signed distance fields of the solids, as MuJoCo computes them from a mesh. Faithful and slow."""
 
-from __future__ import annotations
-
 from realsim.core.meshes import vertex_normals
 from realsim.export.config import SceneConfig
 from realsim.export.contact.base import Asset, ContactModel, Geom

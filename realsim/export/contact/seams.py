@@ -7,8 +7,6 @@ other, and it stays. A part that reaches beyond the seam pushes it up, as one so
 Nothing is added to the shape that all parts have together: a part grows only into what others fill.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """A mesh with its ground, and what several representations make of it: worked out once, when first asked for."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 

@@ -6,8 +6,6 @@ air, because it was seen from there, and behind it there is something, however t
 of a seen face are left out, and what of the surface nothing is left to carry becomes a sheet.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Contact from the side: does what was seen beside the robot stop it, and does nothing stop it before?"""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Closed solids of what stands on the ground, from columns: for representations that need an inside."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """Lower end of the solid under a top: the ground, or an underside, estimated where no camera saw it."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -4,8 +4,6 @@ An exporter is a function `(SceneOnDisk, folder) -> files it wrote`. It writes i
 the same scene, metres and z up wherever the format leaves the choice.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A scene for Foxglove (and other viewers of MCAP): surface, collision geometry and platforms as one SceneUpdate."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Height map: npz with metres, and a 16-bit PNG with the numbers that turn it back into metres."""
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 

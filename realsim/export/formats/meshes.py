@@ -1,7 +1,5 @@
 """The scanned surface alone: GLB, OBJ, STL, PLY."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

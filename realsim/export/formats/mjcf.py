@@ -1,7 +1,5 @@
 """MJCF: the scene as it is, and a profile for MuJoCo Warp."""
 
-from __future__ import annotations
-
 import shutil
 import xml.etree.ElementTree as ET  # writing only
 from pathlib import Path

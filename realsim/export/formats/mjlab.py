@@ -1,7 +1,5 @@
 """A sub-terrain for mjlab's terrain generator: its version 1.6 takes generators and planes, and no mesh."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A scene read back from its folder, as plain geometry."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,7 +1,5 @@
 """SDF: a static model for Gazebo."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET  # writing only
 from pathlib import Path
 

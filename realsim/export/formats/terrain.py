@@ -1,7 +1,5 @@
 """One closed mesh with a flat border, about its own centre: what Isaac Lab imports as a terrain (not run here)."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from pathlib import Path
 from typing import Any

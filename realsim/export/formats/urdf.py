@@ -1,7 +1,5 @@
 """URDF: one fixed link with the scanned surface to look at and the collision geometry to touch."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET  # writing only
 from pathlib import Path
 

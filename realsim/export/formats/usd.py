@@ -1,7 +1,5 @@
 """USD with physics: the scan to look at, and collision geometry as PhysX (Isaac Sim, Isaac Lab) takes it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

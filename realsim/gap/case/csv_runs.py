@@ -10,8 +10,6 @@ A column may hold lists ("[0.1, 0.2]"): its name stands for all items, NAME[0] f
 Without a map, columns are found by exact name: `time`, `command_ACTUATOR`, `joint_pos_JOINT`, `base_pos_x`, ...
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

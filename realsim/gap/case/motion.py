@@ -5,8 +5,6 @@ derivatives blur everything alike, so an equation between blurred quantities (in
 blurred too) still holds where the motion is faster than the window.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

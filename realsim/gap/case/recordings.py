@@ -1,7 +1,5 @@
 """Runs that were recorded after the others, to tell causes apart; the case's folder stays as it is."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path

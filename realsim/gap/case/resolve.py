@@ -1,7 +1,5 @@
 """A model's spec with what MuJoCo's compiler works out anew each time written down, so that edits do what they say."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Known differences of single runs from model.xml: an added mass, another firmware gain."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Runs that repeat a command, whose differences are no gap; and which runs are fitted, which held out."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Units that logs come in: their factors to SI, and what a signal's size and sign say of its unit."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import pi

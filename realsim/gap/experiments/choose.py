@@ -1,7 +1,5 @@
 """Choose the experiment that tells the rivals apart best, among those that stay within the limits."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Whether an experiment stays within the robot's limits, by simulation under every rival."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """report.html of an experiment: what each rival predicts, and where they part."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

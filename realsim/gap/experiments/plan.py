@@ -1,7 +1,5 @@
 """What is to be recorded: commands, and how the robot is set up for them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """`next_experiment` of a diagnosis: which recording would tell its rivals apart."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The sets of causes that a diagnosis cannot tell apart, in the coordinates that the simulator takes."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

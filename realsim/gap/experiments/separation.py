@@ -11,8 +11,6 @@ V is that of the rival that is wrong: what its own values and the everyday devia
 from the difference. What the log has taught about everyday deviations is not used, so that d is rather too small.
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

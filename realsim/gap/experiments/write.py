@@ -1,7 +1,5 @@
 """The folder of an experiment: command files, instructions, and a page of what each rival predicts."""
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Mapping, Sequence

@@ -10,8 +10,6 @@ infer.py      which field is what          joints.py, commands.py, body.py  the 
 clocks.py     one time for all streams     case.py       the folder of the contract
 """
 
-from __future__ import annotations
-
 from realsim.gap.recordings.case import write_case
 from realsim.gap.recordings.infer import propose
 from realsim.gap.recordings.model import Target, load_target

@@ -1,7 +1,5 @@
 """One run of a recording as the arrays of a case, in the contract's names, order and units."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

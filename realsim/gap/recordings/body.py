@@ -1,7 +1,5 @@
 """The body's own signals: orientation, accelerometer, gyroscope, place, feet."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from realsim.core.statistics import alike

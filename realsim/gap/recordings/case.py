@@ -1,7 +1,5 @@
 """A proposal as a case folder (docs/diagnose.md): log.json, model.xml with its files, runs/*.npz, and why."""
 
-from __future__ import annotations
-
 import io
 import shutil
 from collections.abc import Callable

@@ -5,8 +5,6 @@ the message was received. Where a stamp runs on another clock than the receiver,
 straight line through the messages of least delay; what a message took on its way only adds to that.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

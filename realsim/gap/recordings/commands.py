@@ -1,7 +1,5 @@
 """Commands of the joints: the field, its kind, its joints."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

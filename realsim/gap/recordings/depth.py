@@ -4,8 +4,6 @@ Of each frame only the time is kept at first, as a stream that knows when it was
 window are treated as those of any other stream. The frames of a case are then read from the recording one by one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path

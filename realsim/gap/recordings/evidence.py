@@ -1,7 +1,5 @@
 """State shared by the steps of the inference: the recording, its times, the model, and settled roles."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any

@@ -4,8 +4,6 @@ Each hypothesis is measured against the others (a velocity against the positions
 a torque against inverse dynamics, ranges of the joints), and the measure is what is shown as its evidence.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Positions, velocities and torques of joints: which column is which joint, in which unit, with which sign."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any

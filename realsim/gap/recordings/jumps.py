@@ -6,8 +6,6 @@ is told from one, and the clock at fault is the one whose step there is not a us
 clock of reception jumps, that jump is taken back, so that both stay as far apart as they were.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

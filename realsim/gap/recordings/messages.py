@@ -4,8 +4,6 @@ Numbers keep the names of the message (`motor_state.q`); lists of parts become c
 a list of names in the same message labels the columns. Other text, pictures and clouds are left out.
 """
 
-from __future__ import annotations
-
 from array import array
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Model that a log is compared with: the joints, ranges, servos, sites and feet of a MuJoCo model, and its dynamics."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path

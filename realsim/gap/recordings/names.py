@@ -1,7 +1,5 @@
 """What names mean: known message types, words in names of columns, motor tables of robots."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """What the user knows better: `--use ROLE=FIELD`, `ROLE=COLUMN,COLUMN`, `time=COLUMN`, `ROLE=none`."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """What was understood of a recording, as a page: commands against positions, joint by joint, before any search."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

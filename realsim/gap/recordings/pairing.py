@@ -1,7 +1,5 @@
 """Which column is which, by what signals do: joints follow their commands, and velocities are slopes."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

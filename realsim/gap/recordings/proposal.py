@@ -1,7 +1,5 @@
 """Interpretation of a recording: the field of each array of a case, with the evidence, and what is missing."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any
 

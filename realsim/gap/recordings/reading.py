@@ -1,7 +1,5 @@
 """A file or a folder -> its recordings, one a run."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Result of every reader: streams of numbers with names, labels, units and clocks, not yet interpreted."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field

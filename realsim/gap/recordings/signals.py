@@ -1,7 +1,5 @@
 """How alike two signals are: the measures that evidence about roles, orders, units and signs is made of."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 

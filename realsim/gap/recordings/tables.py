@@ -1,7 +1,5 @@
 """Tables into streams: columns that belong together become one field, by index, by axis, or by the joint they name."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence

@@ -3,8 +3,6 @@
 `Ellbogen_soll [deg]` -> elbow, target, deg; `qRef3` -> position, target, 3. What reads names sees English only.
 """
 
-from __future__ import annotations
-
 import re
 import unicodedata
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """The base's pose in the frame of a scene: a report says how its scene lies in the world of its capture."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -5,8 +5,6 @@
 The page shows what a `Diagnosis` holds and simulates nothing; what it cannot draw is left out, and it says why.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from realsim.core.files import write_text

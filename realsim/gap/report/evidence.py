@@ -1,7 +1,5 @@
 """Tables below the plots: causes, equivalents, ranking, health, patch, assumptions."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from difflib import unified_diff
 from typing import Any

@@ -1,7 +1,5 @@
 """The part of the report about the data: clock, gaps, resolution, noise, starts, saturation, and what was odd."""
 
-from __future__ import annotations
-
 from collections import Counter
 from typing import Any
 

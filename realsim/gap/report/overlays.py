@@ -1,7 +1,5 @@
 """Measured, nominal and patched, drawn over each other where the gap is largest; and the way of the base."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from realsim.core.types import F64

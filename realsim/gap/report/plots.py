@@ -1,7 +1,5 @@
 """The three plots of the first screen: where, what, how much."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """The robot in 3D, its parts coloured by their share of the gap."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import combinations, product
 

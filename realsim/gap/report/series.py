@@ -1,7 +1,5 @@
 """Figures that the report draws over time, from the arrays that a diagnosis keeps; nothing is simulated."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a diagnosis compares, as time series for Foxglove, PlotJuggler or Rerun: signals.mcap."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any

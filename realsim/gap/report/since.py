@@ -1,7 +1,5 @@
 """The card of what changed since an earlier log."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """More on where the gap lies: torques and wrenches that lack."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

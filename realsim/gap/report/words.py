@@ -1,7 +1,5 @@
 """Words and short numbers of the report."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any
 

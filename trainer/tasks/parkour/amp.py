@@ -1,7 +1,5 @@
 """Input of the motion discriminator: two successive poses, independent of position and heading."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

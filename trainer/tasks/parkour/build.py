@@ -1,7 +1,5 @@
 """An environment from names: robot, engine, ray caster, terrains."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The velocity command: towards the goal, clipped, so that running ahead or turning away at the start does not pay."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

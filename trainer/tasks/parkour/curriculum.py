@@ -1,8 +1,6 @@
 """Which terrain a world gets next. In a grid, columns are kinds and rows difficulties: worlds move up and down their
 column. Terrains without an order of difficulty may be drawn by how often they are failed instead."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import torch

@@ -4,8 +4,6 @@ The real camera delivers 480 x 270; the robot keeps the nearest pixel of a 64 x 
 at the bottom centre. Only the rays of those are cast, each through the centre of the full image's pixel that is kept.
 """
 
-from __future__ import annotations
-
 from math import radians, tan
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Random numbers from one generator, so that a run can be repeated and resumed."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 

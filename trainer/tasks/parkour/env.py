@@ -1,7 +1,5 @@
 """The parkour task as a vector environment: one definition for every engine and ray caster."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, fields

@@ -7,8 +7,6 @@ Edges are looked up in a coarse grid: each cell lists the edges whose tube may r
 with a handful of edges instead of all of them, and the result within the tube is exact.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -6,8 +6,6 @@ ranges beside it are then about the patched value. Where the data cannot tell se
 of the sets, and the model takes what they share.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from math import inf

@@ -4,8 +4,6 @@ The actor's vector is p_(t-7), ..., p_t of the paper, term by term: each term's 
 The critic's is the same step's truth without noise, and what no sensor of the robot measures.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

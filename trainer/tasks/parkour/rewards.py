@@ -3,8 +3,6 @@
 A term is `(Signals, Body, RewardConfig) -> (N,)`; the reward is the sum of weight * term, times the policy step.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import torch

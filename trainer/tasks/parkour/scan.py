@@ -1,7 +1,5 @@
 """The critic's height scan: the terrain around the base, as no sensor of the robot sees it."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

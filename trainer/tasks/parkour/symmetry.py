@@ -1,7 +1,5 @@
 """The task seen in a mirror: left and right swapped. Used for mirror samples and to test the observations."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

@@ -1,7 +1,5 @@
 """Figures for the log, added up on the device and fetched once an interval."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 

@@ -1,7 +1,5 @@
 """Terminations of episodes: one function per failure; `CAUSES` names and orders them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import cos

@@ -4,8 +4,6 @@ A mistake that is plain is refused, with what to write in log.json: a diagnosis 
 name causes with great confidence. One that is only likely is a warning.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Is this log fit for a diagnosis? Refused with the reason where it is not; otherwise figures and warnings."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Health of the arrays themselves: clock, drops, resolution, saturation, noise, and how the runs begin."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

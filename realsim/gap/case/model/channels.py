@@ -1,7 +1,5 @@
 """Scalars that simulator and log share and that are compared, and reasons for the others."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from realsim.core.types import MjModel

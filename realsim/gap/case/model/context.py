@@ -1,7 +1,5 @@
 """What effects need to know about a case: its parts, and how hard the nominal simulator works in these runs."""
 
-from __future__ import annotations
-
 import re
 from collections import defaultdict
 from collections.abc import Sequence

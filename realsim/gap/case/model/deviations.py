@@ -7,8 +7,6 @@ A JSON file gives standard deviations by effect and parameter, in the unit that 
 A figure holds at every place; a mapping gives one a joint or body. 0 means that there is no such deviation.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace

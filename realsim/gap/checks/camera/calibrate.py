@@ -6,8 +6,6 @@ camera's mount; and each frame's pose errs by itself. Residuals are clipped, and
 what is looked for: at the edge of a stake a pixel sees either side.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import pairwise

@@ -5,8 +5,6 @@ err much do not matter); sizes of u and of the noise are estimated. Whether a pa
 deviation is a comparison of two priors for it, with all else integrated out (Kass and Raftery 1995, Bayes factors).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What the camera would see: depth of the scene along its pixels, from the logged pose of the robot."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache

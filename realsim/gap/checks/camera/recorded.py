@@ -10,8 +10,6 @@ The frames of runs/NAME.npz or NAME.csv may stand in runs/NAME_depth/: 16-bit .p
 "seconds file" for each on the run's clock, as in the TUM RGB-D sets (Sturm et al. 2012). Only those looked at are read.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The terrain alone: the height and the geom below a point, by rays through MuJoCo's colliding geoms."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -11,8 +11,6 @@ servo.py     gains, by the measured torque            answer.py     rates, verdi
 settings.py  the setting, in the framework's words
 """
 
-from __future__ import annotations
-
 from realsim.gap.checks.contract.answer import Found, check
 from realsim.gap.checks.contract.formats import load_policy
 from realsim.gap.checks.contract.policy import Contract

@@ -1,7 +1,5 @@
 """Was the policy run as its contract says? The search at the log's rates, the servos' gains, and one sentence."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any

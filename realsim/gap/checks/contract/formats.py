@@ -1,8 +1,6 @@
 """Where a contract is written down: metadata of `realsim finetune` or of mjlab (and of Isaac Lab projects that attach
 the same) in the ONNX file; deploy.yaml of unitree_rl_lab; IO_descriptors.yaml of Isaac Lab."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace

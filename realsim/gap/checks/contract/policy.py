@@ -1,7 +1,5 @@
 """A policy and its contract: what it sees, in which order and scale, and what its actions mean."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 

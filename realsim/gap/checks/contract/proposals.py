@@ -4,8 +4,6 @@ A family changes a `Loop` by a vector of parameters; one without parameters is a
 proposals: one score judges all of them (search.py).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial

@@ -1,7 +1,5 @@
 """The servos' gains, by the torque that the drives report: torque = kp (target - q) - kd dq."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The setting behind a mistake, in the words of the framework that the policy comes from."""
 
-from __future__ import annotations
-
 _MJLAB, _ISAAC, _UNITREE, _OWN = "mjlab", "isaaclab", "unitree", "realsim"
 
 _SETTINGS: dict[str, tuple[str, str, str, str]] = {

@@ -1,7 +1,5 @@
 """The scene with what was found in it: tops moved and turned, friction and softness set, where a foothold is a geom."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Which foothold is otherwise than scanned: higher, lower, tilted, softer, more slippery, wobbling, and by how much."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar

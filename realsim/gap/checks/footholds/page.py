@@ -1,7 +1,5 @@
 """The page: the verdict, the map of footholds, and the figures of each."""
 
-from __future__ import annotations
-
 from math import degrees
 
 import numpy as np

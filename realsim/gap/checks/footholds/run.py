@@ -1,7 +1,5 @@
 """A log against its scene, on disk: read, survey, write."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path

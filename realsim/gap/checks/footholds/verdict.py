@@ -1,7 +1,5 @@
 """One verdict for a scene: what its scan says of itself, and what a robot's log on it says."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from math import degrees
 from pathlib import Path

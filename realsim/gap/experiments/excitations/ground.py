@@ -1,7 +1,5 @@
 """Excitations of robots that stand on the ground."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

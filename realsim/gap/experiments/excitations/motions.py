@@ -1,7 +1,5 @@
 """Excitations by commands alone."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from realsim.core.types import F64

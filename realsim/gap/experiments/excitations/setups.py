@@ -1,7 +1,5 @@
 """Excitations for which the robot is set up otherwise: drives off, other gains, a mass added."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from realsim.gap.case.setups import Setup

@@ -1,7 +1,5 @@
 """One file a format; `READERS` lists them, in the order in which they are asked."""
 
-from __future__ import annotations
-
 from realsim.core.registry import Registry
 
 READERS = Registry(

@@ -1,7 +1,5 @@
 """ROS 1 bags (.bag), ROS 2 bags (a folder with metadata.yaml, or a lone .db3), MCAP of any; without ROS."""
 
-from __future__ import annotations
-
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing

@@ -8,8 +8,6 @@ that compensates the battery's voltage (motors.c, motorsCompensateBatteryVoltage
 1.1 times as large as by that, with the lag of the motors, and 0.8 times as by Foerster's law.
 """
 
-from __future__ import annotations
-
 import re
 import struct
 import zlib

@@ -1,7 +1,5 @@
 """Tables of text, however their cells are parted (`realsim.core.text_table`)."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -4,8 +4,6 @@ A dataset is a signal, its rows the samples. Groups whose names differ by their 
 runs. Links and datasets that lead to other files are refused, and links to a group above are not followed.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from pathlib import Path

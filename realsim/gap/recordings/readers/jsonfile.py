@@ -3,8 +3,6 @@
 Lines that name a topic are sorted by it; the numbers beside a list (a mass, a gain) are facts of the recording.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path

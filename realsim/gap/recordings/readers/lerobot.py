@@ -4,8 +4,6 @@ Every file of data/ has the columns `episode_index`, `timestamp` (s), and the fe
 was commanded and `observation.state` what was measured, their columns named by the motors.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

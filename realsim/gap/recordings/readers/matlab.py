@@ -3,8 +3,6 @@
 Objects of classes (`timeseries`, `Dataset`) cannot be read without MATLAB. From version 7.3 on, the file is HDF5.
 """
 
-from __future__ import annotations
-
 import struct
 import zlib
 from pathlib import Path

@@ -1,7 +1,5 @@
 """NumPy archives: an array a signal, its rows the samples; or one table `data` with its columns' names in `cols`."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Parquet: a column of numbers, or of lists of numbers, for each signal."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

@@ -4,8 +4,6 @@
 have the time of the conversion there.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any

@@ -3,8 +3,6 @@
 Never unpickled freely: `weights_only` admits tensors and plain containers, and refuses anything that could run.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """PX4's ULog: every message of the log by its name; time stamps in us since the autopilot's start."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
