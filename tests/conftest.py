@@ -7,6 +7,7 @@ import hashlib
 import os
 import signal
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -85,6 +86,16 @@ def once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[object, Callable
         return folder
 
     return find
+
+
+@pytest.fixture(scope="session")
+def quick_export() -> Iterator[None]:
+    """torch lists all operators that it can write as ONNX anew for every network, in two seconds: here once."""
+    from torch.onnx._internal.exporter._registration import ONNXRegistry
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ONNXRegistry, "from_torchlib", staticmethod(cache(ONNXRegistry.from_torchlib)))
+        yield
 
 
 @pytest.fixture

@@ -20,6 +20,7 @@ from realsim.feedforward.onnx.inspect import inspect_model  # noqa: E402
 from tools.export_onnx import blockers, depth_anything_3, dust3r, map_anything, moge, pi3, vggt  # noqa: E402
 from tools.export_onnx.common import ExportFailed, Family, Options, export, sample  # noqa: E402
 
+pytestmark = pytest.mark.usefixtures("quick_export")
 DIM = 16
 
 
@@ -402,12 +403,12 @@ def test_vggt(tmp_path: Path) -> None:
 def test_depth_anything_3(tmp_path: Path) -> None:
     model = AnyView({"extrinsics": (3, 4), "intrinsics": (3, 3)}, trailing=False)
     model.heads = nn.ModuleDict({"extrinsics": Identity(DIM, 12), "intrinsics": Identity(DIM, 9)})
-    found = exported(depth_anything_3, model, options(tmp_path))
+    found = exported(depth_anything_3, model, options(tmp_path, exporter="torchscript"))
     assert (found.model.spec.pose, found.model.spec.norm) == ("w2c", "imagenet")
 
 
 def test_map_anything(tmp_path: Path) -> None:
-    found = exported(map_anything, Listed(), options(tmp_path, views=3))
+    found = exported(map_anything, Listed(), options(tmp_path, views=3, exporter="torchscript"))
     assert found.model.spec.n_static == 3
     assert found.model.spec.scale == "applied"
 

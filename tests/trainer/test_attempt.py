@@ -8,8 +8,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
+import torch
 
-from tests.trainer.fakes import course, walk
+from tests.trainer.fakes import course
 from tests.trainer.task_env import QUIET, env_of, outcome, still
 from trainer.ppo.config import PPOConfig
 from trainer.tasks.parkour.config import CommandConfig
@@ -21,42 +22,39 @@ HELPED = helped(Scene((course(),)), PAPER)[1]
 HELPED = replace(HELPED, reset=PAPER.reset)
 
 
-def until(seconds: float, then=lambda physics: None):
-    """A motion: walk at 0.6 m/s for a time, then do something else."""
-    ahead, passed = walk(0.6), [0.0]
-
-    def move(physics) -> None:
-        passed[0] += physics.policy_dt
-        if passed[0] <= seconds:
-            ahead(physics)
-        else:
-            physics.state.base_lin_vel.zero_()
-            then(physics)
-
-    return move
+def three_ways(physics) -> None:
+    """At 0.6 m/s: the first falls after 2.5 s; the second stays where it is; the third stops off the start platform
+    after 1 s, where nothing ends a wait before the time is over."""
+    s, now = physics.state, float(physics.clock)
+    physics.clock += physics.policy_dt
+    speed = torch.tensor([0.6 * (now < 2.5), 0.0, 0.6 * (now < 1.0)])
+    for name in ("base_pos", "torso_pos", "camera_pos"):
+        getattr(s, name)[:, 0] += speed * physics.policy_dt
+    s.foot_pos[..., 0] += speed[:, None] * physics.policy_dt
+    s.base_lin_vel[:, 0] = speed
+    s.ground_contact[0] = 2.5 <= now < 2.5 + physics.policy_dt
 
 
-def fall(physics) -> None:
-    physics.state.ground_contact.fill_(True)
-
-
-def returned(config, motion) -> tuple[float, float, str]:
-    """(return, the return that PPO maximises, discounted, how it ended) of the first episode."""
-    env, total, discounted, weight = env_of(config, worlds=1, motion=motion), 0.0, 0.0, 1.0
+def first_episodes(config) -> list[tuple[float, float, str]]:
+    """World -> (return, the return that PPO maximises, discounted, how it ended)."""
+    env = env_of(config, worlds=3, motion=three_ways)
+    env.physics.clock = 0.0
     env.reset()
-    for _ in range(env.max_steps + 1):
-        reward = float(env.step(still(env)).reward[0])
-        total, discounted, weight = total + reward, discounted + weight * reward, weight * PPOConfig().gamma
-        if env.ends is not None:
-            return total, discounted, outcome(env)[0]
+    ended: dict[int, tuple[float, float, str]] = {}
+    total = discounted = torch.zeros(3)
+    for step in range(env.max_steps + 1):
+        reward = env.step(still(env)).reward
+        total, discounted = total + reward, discounted + PPOConfig().gamma ** step * reward
+        for world, how in [] if env.ends is None else zip(env.ends.ids.tolist(), outcome(env), strict=True):
+            ended.setdefault(world, (float(total[world]), float(discounted[world]), how))
+        if len(ended) == 3:
+            return [ended[k] for k in range(3)]
     raise AssertionError("the episode did not end")
 
 
 @pytest.mark.parametrize(("config", "pays"), [(PAPER, False), (HELPED, True)])
 def test_with_help_an_attempt_pays_more_than_to_stand_and_without_it_does_not(config, pays: bool) -> None:
-    tried = returned(config, until(2.5, fall))
-    stood = returned(config, until(0.0))
-    stopped = returned(config, until(1.0))  # off the start platform, where nothing ends a wait before the time is over
+    tried, stood, stopped = first_episodes(config)
     assert (tried[2], stood[2], stopped[2]) == ("ground", "stuck", "timeout")
     assert (tried[1] > 1.2 * stopped[1]) is pays
     if pays:

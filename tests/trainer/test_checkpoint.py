@@ -22,6 +22,8 @@ from trainer.ppo.config import StrategyConfig
 from trainer.ppo.policy import Policy
 from trainer.tasks import Observation
 
+pytestmark = pytest.mark.usefixtures("quick_export")
+
 
 def make(*strategies: str) -> Policy:
     policy = policies.new(LAYOUT, SMALL, "toy", 3)

@@ -8,7 +8,6 @@ import torch
 from tests.trainer.fakes import FakePhysics, course, quadruped
 from tests.trainer.replays import replayed, with_replays
 from tests.trainer.task_env import env_of, still
-from trainer.graphs import places, room
 from trainer.ppo import policy as policies
 from trainer.ppo.config import NetworkConfig, PPOConfig
 from trainer.ppo.distributed import Rank
@@ -221,21 +220,3 @@ def test_the_stepping_of_the_padded_pushes_reaches_every_world_once_a_period():
         assert len(set(ids.tolist())) == 3
         rest[ids] += (velocity[:, 0] != 0).float()
     assert rest.tolist() == [1.0] * WORLDS
-
-
-@pytest.mark.parametrize("true", [[0], [10], [1, 4, 5], list(range(11)), []])
-def test_places_of_a_mask(true):
-    mask = torch.zeros(11, dtype=torch.bool)
-    mask[true] = True
-    for size in {len(true), 7, 11} - set(range(len(true))) - {0}:
-        ids, rows = places(mask, size)
-        assert ids.shape == rows.shape == (size,)
-        if true:
-            assert ids.tolist() == true + true[-1:] * (size - len(true))
-            assert rows.tolist() == [*range(len(true)), *[len(true) - 1] * (size - len(true))]
-
-
-def test_a_few_sizes_hold_any_number(monkeypatch):
-    monkeypatch.undo()
-    assert [room(n, 4096) for n in (1, 32, 33, 700, 2049, 4096)] == [32, 32, 128, 2048, 4096, 4096]
-    assert [room(n, 100) for n in (1, 33, 100)] == [32, 100, 100]

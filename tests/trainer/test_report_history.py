@@ -123,14 +123,6 @@ def test_runs_are_told_apart_by_the_shortest_name(tmp_path: Path) -> None:
         read_runs([a, a])
 
 
-@pytest.mark.skipif(not Path("/proc/self/mem").is_file(), reason="no file here that fails on reading")
-def test_a_file_that_fails_on_reading_is_named(tmp_path: Path) -> None:
-    (tmp_path / "history.jsonl").symlink_to("/proc/self/mem")
-    with pytest.raises(RealsimError, match="not a plain file") as raised:
-        read_run(tmp_path, "run")
-    assert str(raised.value.file).endswith("history.jsonl")
-
-
 def test_what_lies_beside_the_history(tmp_path: Path) -> None:
     folder = histories.run(tmp_path / "run", 2)
     good = histories.evaluation(trials=30)

@@ -87,7 +87,7 @@ numbers = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_
 rows = st.dictionaries(names, numbers, max_size=8)
 
 
-@settings(max_examples=25)
+@settings(max_examples=10)
 @given(st.lists(st.tuples(st.integers(0, 10**6), rows), min_size=1, max_size=6), st.integers(1, 2))
 def test_no_history_breaks_the_page(lines: list[tuple[int, dict[str, object]]], count: int) -> None:
     with tempfile.TemporaryDirectory() as name:

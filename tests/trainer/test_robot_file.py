@@ -203,12 +203,6 @@ def test_a_wrong_entry_is_named(tmp_path: Path, old: str, new: str, says: str) -
     assert says in error.value.render()
 
 
-def test_a_file_that_is_not_there_is_named() -> None:
-    with pytest.raises(RealsimError, match="cannot be read") as error:
-        named("nowhere/dog.toml")
-    assert "dog.toml" in error.value.render()
-
-
 def test_a_model_that_grows_without_bound_is_refused_before_mujoco_reads_it(tmp_path: Path) -> None:
     path = tmp_path / "dog.xml"
     path.write_text(mjcf('<replicate count="100000000" offset="0 0 1"><geom size="0.1"/></replicate>'))

@@ -46,25 +46,15 @@ def test_the_same_function_at_the_start(base: Policy, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", list(STRATEGIES))
-def test_only_its_own_parameters_change(base: Policy, name: str) -> None:
-    tuned = policies.fine_tune(copy.deepcopy(base), name, StrategyConfig())
-    before = copy.deepcopy(tuned.actor.state_dict())
-    runner = Runner(PointMass(16, goal=1.0), tuned, CONFIG, rank=CPU)
-    for _ in range(2):
-        runner.iterate()
-    changed = {key for key, value in tuned.actor.state_dict().items() if not torch.equal(value, before[key])}
-    own = {key for key in before if key.startswith(OWN[name])}
-    assert changed == own
-    assert not any("normaliser" in key for key in changed)
-
-
-@pytest.mark.parametrize("name", list(STRATEGIES))
-def test_every_strategy_improves_on_one_terrain(base: Policy, name: str) -> None:
+def test_every_strategy_improves_on_one_terrain_and_changes_only_what_is_its_own(base: Policy, name: str) -> None:
     """The goal is always on the right: each way of fine-tuning must earn more than its base did."""
     tuned = policies.fine_tune(copy.deepcopy(base), name, StrategyConfig())
+    before = copy.deepcopy(tuned.actor.state_dict())
     runner = Runner(PointMass(32, goal=1.0), tuned, replace(CONFIG, learning_rate=1e-3), rank=CPU)
-    rewards = [runner.iterate()["reward"] for _ in range(12)]
+    rewards = [runner.iterate()["reward"] for _ in range(10)]
     assert sum(rewards[-3:]) > 1.2 * sum(rewards[:3])
+    changed = {key for key, value in tuned.actor.state_dict().items() if not torch.equal(value, before[key])}
+    assert changed == {key for key in before if key.startswith(OWN[name])}
 
 
 def test_exploration_noise_can_start_anew(base: Policy) -> None:

@@ -251,11 +251,6 @@ def test_an_interval_that_is_none_is_refused(ends, diagnosis):
         load(diagnosis(cause("command_delay", delay=ends)), quadruped())
 
 
-def test_noise_of_depth_cannot_be_negative():
-    with pytest.raises(TrainerError, match="noise must be at least 0"):
-        DepthConfig(noise=-1.0)
-
-
 @pytest.mark.parametrize("text", ["[]", "{}", '{"causes": 3, "verdict": "identified"}'])
 def test_what_is_no_diagnosis_is_refused(text, tmp_path):
     path = tmp_path / "x.json"

@@ -220,12 +220,6 @@ def test_a_file_that_was_cut_off_is_named(scene, name, message, share):
     assert raised.value.file == str(path)
 
 
-def test_brackets_without_end_are_no_report(scene):
-    (scene / "report.json").write_text("[" * 100_000)
-    with pytest.raises(TrainerError, match="cannot be read"):
-        load(scene)
-
-
 def test_a_report_of_another_kind_is_refused(scene):
     (scene / "report.json").write_text("[]")
     with pytest.raises(TrainerError, match="no report"):
