@@ -55,8 +55,7 @@ def invent(seen: Surface, aligned: AlignedScene, evidence: Evidence | None, cell
     occupied = grid.occupied
     if evidence is not None and evidence.maps:
         inner = np.argwhere(occupied & (grid.axes[2] > aligned.ground_z + cell)[None, None, :])
-        points = np.stack([grid.axes[k][inner[:, k]] for k in range(3)], -1)
-        empty = seen_through(*votes(points, list(evidence.maps), evidence.sigma, cell))
+        empty = seen_through(*votes(grid.places(inner), list(evidence.maps), evidence.sigma, cell))
         occupied = grid.carved(occupied, inner[empty])
     closed = grid.surface(occupied, seen)
     centre = closed.centres()
@@ -89,12 +88,16 @@ class Columns:
         self.cell, self.ground_z = cell, ground_z
         low = min(ground_z, float(surface.vertices[:, 2].min())) - SKIRT
         high = float(max(surface.vertices[:, 2].max(), ground_z)) + 2 * cell
-        lower, upper = np.array([*bounds[0, :2], low]), np.array([*bounds[1, :2], high])
-        count = np.ceil((upper - lower) / cell).astype(int) + 1
+        self.lower, upper = np.array([*bounds[0, :2], low]), np.array([*bounds[1, :2], high])
+        count = np.ceil((upper - self.lower) / cell).astype(int) + 1
         if np.prod(count.astype(float)) > 2e8:
             raise MeshError("the grid is too fine for the scene", found=f"{cell} m", hint="use a coarser cell")
-        self.axes = tuple(lower[k] + cell * np.arange(count[k]) for k in range(3))
+        self.axes = tuple(self.lower[k] + cell * np.arange(count[k]) for k in range(3))
         self.occupied, self.hit = self._cast(surface)
+
+    def places(self, nodes: NDArray[np.int64]) -> F64:
+        """(M, 3) metres of nodes (M, 3)."""
+        return self.lower + self.cell * nodes
 
     def _cast(self, surface: Surface) -> tuple[Bool, Bool]:
         """Two (nx, ny, nz): nodes that are solid, and nodes with a surface between them and the next one above.
@@ -171,15 +174,13 @@ class Columns:
         field = np.where(np.sign(field) == np.where(occupied, -1, 1), field, np.where(occupied, -0.05, 0.05))
         band = ndimage.binary_dilation(occupied, iterations=2) & ~ndimage.binary_erosion(occupied, iterations=2)
         index = np.argwhere(band)
-        points = np.stack([self.axes[k][index[:, k]] for k in range(3)], -1)
-        distance = near.distance(points) / self.cell
+        distance = near.distance(self.places(index)) / self.cell
         close = distance < 1.0
         sign = np.where(occupied[tuple(index.T)], -1.0, 1.0)
         field[tuple(index[close].T)] = (sign * np.maximum(distance, 1e-3))[close]
         padded = np.pad(field, 1, constant_values=1.0)
         vertices, triangles, _, _ = marching_cubes(padded, 0.0, gradient_direction="descent")
-        lower = np.array([axis[0] for axis in self.axes])
-        return tidy(Surface((vertices - 1.0) * self.cell + lower, triangles.astype(np.int32)))
+        return tidy(Surface((vertices - 1.0) * self.cell + self.lower, triangles.astype(np.int32)))
 
 
 def without_crumbs(occupied: Bool, cell: float) -> Bool:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
@@ -228,10 +229,10 @@ def _per_frame(step: Step, tracks: Tracks, surface: Surface, n: int) -> F64:
     owner = np.concatenate([tracks.view, surface.i])
     out = np.full(n, np.nan)
     order = np.argsort(owner, kind="stable")
-    edges = np.searchsorted(owner[order], np.arange(n + 1))
-    for k in range(n):
-        if edges[k + 1] - edges[k] >= 20:
-            out[k] = 1.4826 * np.median(np.abs(meters[order[edges[k] : edges[k + 1]]]))
+    size, edges = np.abs(meters[order]), np.searchsorted(owner[order], np.arange(n + 1))
+    for k, (start, end) in enumerate(pairwise(edges)):
+        if end - start >= 20:
+            out[k] = 1.4826 * np.median(size[start:end])
     return out
 
 
