@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 from pathlib import Path
 
 import cv2
@@ -35,7 +36,6 @@ from .writers import (
 )
 
 CONFIG = CaptureConfig()
-EVERY = pytest.mark.parametrize("name", WRITERS)
 
 
 def frames_of(folder, config=CONFIG) -> FrameSet:
@@ -44,11 +44,17 @@ def frames_of(folder, config=CONFIG) -> FrameSet:
     return capture
 
 
-@EVERY
-def test_round_trip(name, tmp_path):
-    views = walk()
-    WRITERS[name](tmp_path, views)
-    capture = frames_of(tmp_path)
+@pytest.fixture(scope="module", params=WRITERS)
+def written(request, tmp_path_factory):
+    """(layout, folder of a capture, what was written)."""
+    folder, views = tmp_path_factory.mktemp("written"), walk()
+    WRITERS[request.param](folder, views)
+    return request.param, folder, views
+
+
+def test_round_trip(written):
+    name, folder, views = written
+    capture = frames_of(folder)
     assert capture.layout == name
     assert len(capture) == len(views)
     assert capture.dropped == ()
@@ -73,31 +79,22 @@ def test_round_trip(name, tmp_path):
             assert is_rotation(frame.T_world_camera[:3, :3])
 
 
-@EVERY
-def test_reading_twice_gives_the_same(name, tmp_path):
-    WRITERS[name](tmp_path, walk(6))
-    a, b = frames_of(tmp_path), frames_of(tmp_path)
+def test_reading_twice_gives_the_same(written):
+    _, folder, _ = written
+    a, b = frames_of(folder), frames_of(folder)
     assert a.assumptions == b.assumptions
     assert [f.name for f in a.frames] == [f.name for f in b.frames]
-    assert inspect(tmp_path, CONFIG).as_dict() == inspect(tmp_path, CONFIG).as_dict()
+    packed = pickle.dumps(a)  # frames hold no images, and can be sent to another process
+    assert len(packed) < 2500 * len(a)
+    np.testing.assert_array_equal(pickle.loads(packed).frames[0].depth(), a.frames[0].depth())
 
 
-@EVERY
-def test_frames_hold_no_images_and_can_be_sent_to_another_process(name, tmp_path):
-    import pickle
-
-    WRITERS[name](tmp_path, walk(4))
-    capture = frames_of(tmp_path)
-    packed = pickle.dumps(capture)
-    assert len(packed) < 2500 * len(capture)
-    np.testing.assert_array_equal(pickle.loads(packed).frames[0].depth(), capture.frames[0].depth())
-
-
-@EVERY
-def test_inspection_says_what_and_why(name, tmp_path):
-    views = walk()
-    WRITERS[name](tmp_path, views)
-    found = inspect(tmp_path, CONFIG)
+def test_inspection_says_what_and_why(written):
+    name, folder, views = written
+    layout, why = recognise(folder, "auto", LAYOUTS)  # by itself alone
+    assert (layout.name, why.complete) == (name, True)
+    found = inspect(folder, CONFIG)
+    assert found.as_dict() == inspect(folder, CONFIG).as_dict()
     assert found.layout == name
     assert found.evidence
     assert found.frames["used"] == len(views)
@@ -122,14 +119,6 @@ def test_every_layout_keeps_its_contract(name, tmp_path):
         seen = layout.recognise(path)
         assert isinstance(seen, Recognition)
         assert not seen.complete
-
-
-@EVERY
-def test_a_layout_is_recognised_by_itself_alone(name, tmp_path):
-    WRITERS[name](tmp_path, walk(4))
-    layout, why = recognise(tmp_path, "auto", LAYOUTS)
-    assert layout.name == name
-    assert why.complete
 
 
 def test_unknown_layout_lists_what_each_one_looks_for(tmp_path):

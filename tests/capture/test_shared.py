@@ -17,17 +17,17 @@ CONFIG = CaptureConfig()
 @pytest.mark.parametrize(("name", "layout"), [("stake_a", "open3d"), ("narrow_a", "tum"), ("mixed_a", "sevenscenes")])
 def test_rendered_captures_match_their_truth(name, layout, shared):
     folder = shared(f"captures/{name}")
-    capture = read(folder / "capture", CONFIG)
+    third = CaptureConfig(every=3)
+    capture = read(folder / "capture", third)
     assert isinstance(capture, FrameSet)
-    assert (capture.layout, len(capture), capture.dropped, capture.warnings) == (layout, 60, (), ())
+    assert (capture.layout, len(capture), capture.dropped, capture.warnings) == (layout, 20, (), ())
     truth = json.loads((folder / "gt/gt.json").read_text())
     poses = json.loads((folder / "gt/gt_poses.json").read_text())
-    for frame, pose in zip(capture.frames, poses, strict=True):
+    for frame, pose in zip(capture.frames, poses[::3], strict=True):
         c = frame.intrinsics
         assert {k: getattr(c, k) for k in truth["intrinsics"]} == pytest.approx(truth["intrinsics"], abs=1e-3)
         difference = np.abs(frame.T_world_camera - np.array(pose["T_world_cam"]))
-        # TUM's poses are samples at 100 Hz; the last image lies beyond the last change of speed.
-        assert difference.max() < (2e-3 if layout == "tum" else 1e-8)
+        assert difference.max() < (2e-3 if layout == "tum" else 1e-8)  # TUM's poses are samples at 100 Hz
         if frame.timestamp is not None:
             assert frame.timestamp == pytest.approx(pose["timestamp"], abs=1e-5)
     found = inspect(folder / "capture", CONFIG)
@@ -48,9 +48,9 @@ def test_realsense_boxes(shared):
 
 
 def test_kinect_stairs(shared):
-    capture = read(shared("real_captures/pcl_kinect_stairs/tutorials/pairwise"), CONFIG)
+    capture = read(shared("real_captures/pcl_kinect_stairs/tutorials/pairwise"), CaptureConfig(every=4))
     assert isinstance(capture, FrameSet)
-    assert len(capture) == 5
+    assert len(capture) == 2  # of five, each of which takes a second to unpack
     c = capture.frames[0].intrinsics
     assert (c.width, c.height) == (640, 480)
     assert (c.fx, c.fy, c.cx, c.cy) == pytest.approx((525, 525, 319.5, 239.5), abs=1e-3)

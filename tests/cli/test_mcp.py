@@ -18,15 +18,17 @@ import trimesh
 from realsim.cli.command_line import main
 from realsim.cli.roots import Roots
 from realsim.core.errors import RealsimError
-from tests.gap.truth import ARM, Truth, make_case
+from tests.gap.truth import ARM, PENDULUM, Truth, make_case
 
 pytestmark = pytest.mark.skipif(find_spec("mcp") is None, reason="extra `mcp` is not installed")
 TOOLS = {"inspect", "reconstruct", "contact", "export", "diagnose", "report"}
 
 
-def talk(roots: list[Path], conversation: Callable[[Any], Awaitable[None]]) -> None:
-    """A server of its own with a client that says something."""
+def talk(roots: list[Path], conversation: Callable[[Any], Awaitable[None]], here: bool = False) -> None:
+    """A server in a process of its own, or here, with a client that says something."""
     import mcp  # takes a second, which workers without these tests need not
+
+    from realsim.cli.mcp_server import build
 
     server = mcp.StdioServerParameters(
         command=sys.executable,
@@ -35,7 +37,7 @@ def talk(roots: list[Path], conversation: Callable[[Any], Awaitable[None]]) -> N
     )
 
     async def go() -> None:
-        async with mcp.Client(server, read_timeout_seconds=500) as client:
+        async with mcp.Client(build(Roots(roots)) if here else server, read_timeout_seconds=500) as client:
             await conversation(client)
 
     asyncio.run(go())
@@ -61,7 +63,7 @@ def root(tmp_path: Path) -> Path:
 
 @pytest.mark.slow
 def test_a_scene_from_a_mesh_with_progress_and_a_diagnosis_with_their_reports(root: Path) -> None:
-    make_case(root / "case", ARM, Truth(), runs=3, seed=1, span=(1.0, 1.2))
+    make_case(root / "case", PENDULUM, Truth(), runs=2, seed=1, span=(1.0, 1.2))
 
     async def conversation(client: Any) -> None:
         tools = (await client.list_tools()).tools
@@ -72,11 +74,7 @@ def test_a_scene_from_a_mesh_with_progress_and_a_diagnosis_with_their_reports(ro
         async def listen(progress: float, total: float | None, message: str | None) -> None:
             heard.append((progress, message))
 
-        made = good(
-            await client.call_tool(
-                "contact", {"meshes": "box.stl", "out": "scene", "contact_probes": 200}, progress_callback=listen
-            )
-        )
+        made = good(await client.call_tool("contact", {"meshes": "box.stl", "out": "scene"}, progress_callback=listen))
         assert made["schema"] == "realsim.contact/1"
         assert made["verdict"]["level"] == "good"
         assert (root / "scene" / "scene.xml").is_file()
@@ -94,8 +92,7 @@ def test_a_scene_from_a_mesh_with_progress_and_a_diagnosis_with_their_reports(ro
         assert good(await client.call_tool("diagnose", {"cases": "case", "check": True}))["runs"]
         missing = await client.call_tool("diagnose", {"cases": "none"})
         assert "no such file" in text(missing)
-        few = {"max_causes": 1, "bootstrap": 20}
-        found = good(await client.call_tool("diagnose", {"cases": "case", "out": "found", **few}))
+        found = good(await client.call_tool("diagnose", {"cases": "case", "out": "found", "max_causes": 1}))
         assert found["verdict"] in ("no_gap", "identified", "ambiguous", "unexplained")
         assert "ranking" not in found
         report = good(await client.call_tool("report", {"folder": "found"}))
@@ -142,7 +139,7 @@ def test_nothing_outside_the_folders_is_read_or_written(root: Path) -> None:
         answer = await client.call_tool("report", {"folder": str(secret)})
         assert "leads out" in text(answer)
 
-    talk([root], conversation)
+    talk([root], conversation, here=True)
     assert sorted(p.name for p in secret.iterdir()) == ["box.stl"]
     assert not (root / "scene").exists()
 

@@ -29,6 +29,8 @@ from tests.truths.solids import terrain
 
 made = cache(lambda make, name: spec_of(make(Shape(ROOMS[name](), 0.0), CONFIG)))
 """A room's contact in a representation, each made once."""
+chosen = cache(lambda: fit_contact(ROOMS["corridor"](), 0.0, replace(CONFIG, contact_probes=300)))
+"""What is taken for a corridor."""
 
 
 def measured(make, name: str):
@@ -64,7 +66,7 @@ def test_sheets_stop_what_comes_from_the_side_and_from_above(name: str) -> None:
 
 def test_a_wall_is_thin_behind() -> None:
     """Nobody saw its back: it takes no more of what is there than it must."""
-    touch = SimTouch(made(sheets, "corridor").copy(), BALL, batch=2)
+    touch = SimTouch(spec_of(chosen().contact), BALL, batch=2)
     beside = np.array([[0.0, 0.8 + 0.003, 1.0], [0.0, 0.8 + 0.006 + 0.01 + 0.002, 1.0]])
     inside, behind = touch.clearance(beside, np.tile(FACING_UP, (2, 1)))
     assert inside < 0 < behind
@@ -99,7 +101,7 @@ def test_the_space_below_stays_free(name: str, place: list[float]) -> None:
 
 
 def test_the_choice_looks_at_the_sides() -> None:
-    fitted = fit_contact(ROOMS["corridor"](), 0.0, replace(CONFIG, contact_probes=300))
+    fitted = chosen()
     assert fitted.contact.representation == "sheets"
     assert fitted.summary["sides"]["stopped"] > 0.97
     by_name = {c["representation"]: c for c in fitted.summary["considered"]}
@@ -201,5 +203,5 @@ def test_the_steps_of_an_open_wall_are_no_bays(tmp_path: Path) -> None:
     steps = [trimesh.creation.box(bounds=[(0.3 * k, 0, 0), (0.3 * k + 0.3, 1, 0.12 * k)]) for k in (1, 2, 3, 4)]
     steps[2].update_faces(steps[2].face_normals[:, 2] < 0.5)
     trimesh.util.concatenate(steps).export(tmp_path / "stairs.stl")
-    files = rs.contact(tmp_path / "stairs.stl", tmp_path / "contact", replace(CONFIG, contact_probes=600))
+    files = rs.contact(tmp_path / "stairs.stl", tmp_path / "contact", replace(CONFIG, contact_probes=300))
     assert json.loads((files.folder / "contact.json").read_text())["phantom_over_gaps_cm2"] == 0

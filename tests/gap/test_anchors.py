@@ -126,7 +126,6 @@ def test_states_of_parts_explain_what_is_a_sum_of_their_slopes(arm: Case, scale:
     [
         ({"payload": 0.1}, "payload", "mass"),
         ({"com": 0.01}, "com_offset", "x"),
-        ({"thrust": 0.9}, "thrust_gain", "ratio"),
     ],
 )
 def test_a_drone_is_diagnosed(tmp_path: Path, truth: dict[str, float], effect: str, name: str) -> None:

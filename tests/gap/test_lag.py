@@ -130,14 +130,6 @@ def test_a_delay_is_no_lag(tmp_path: Path) -> None:
     assert cause["effect"] == "command_delay"
 
 
-def test_recovered_on_a_drone(tmp_path: Path) -> None:
-    config = replace(CONFIG, effects=("actuator_lag", "link_inertia", "payload", "thrust_gain"))
-    found = diagnose(flights(tmp_path / "case", 0.04), config)
-    (cause,) = found.causes
-    assert cause["effect"] == "actuator_lag"
-    assert cause["parameters"]["lag"]["value"] == pytest.approx(0.04, rel=0.1)
-
-
 def test_not_named_where_the_model_has_it(tmp_path: Path) -> None:
     config = replace(CONFIG, effects=("actuator_lag", "link_inertia", "thrust_gain"))
     assert diagnose(flights(tmp_path / "case", 0.04, own=0.04), config).verdict == "no_gap"

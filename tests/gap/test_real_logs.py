@@ -58,7 +58,7 @@ def test_swing_ups_with_feedback_are_diagnosed_from_states_of_the_log(
     case = load_case(
         pendulum(shared("real_logs"), tmp_path / "case", ["energy_shaping_nominal", "sac", "pd_1nm_limit"])
     )
-    rivals = ("coulomb_friction", "viscous_friction", "motor_gain", "payload", "command_delay")
+    rivals = ("coulomb_friction", "viscous_friction", "payload")
     found = diagnose(case, replace(CONFIG, effects=rivals, bootstrap=50))
     assert found.causes[0]["effect"] == "coulomb_friction"
     assert found.causes[0]["parameters"]["friction"]["value"] == pytest.approx(0.2, abs=0.05)

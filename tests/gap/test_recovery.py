@@ -77,7 +77,6 @@ def test_a_robot_that_does_not_stand_has_no_footing(arm: Case) -> None:
 @pytest.mark.parametrize(
     ("effect", "place", "values"),
     [
-        ("joint_offset", ("fl_hip",), {"offset": -0.07}),
         ("ground_friction", (), {"ratio": -0.8}),
         ("terrain_tilt", (), {"roll": 0.05, "pitch": 0.03}),
     ],

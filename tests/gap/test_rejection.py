@@ -122,17 +122,16 @@ def test_the_other_friction_cone_is_no_lower_friction(quadruped: Case) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("cone", [0.0, 1.0])
-def test_the_other_friction_cone_is_seen_beside_a_cause(quadruped: Case, cone: float) -> None:
+def test_the_other_friction_cone_is_seen_beside_a_cause(quadruped: Case) -> None:
     weak: Setting = ("motor_gain", ("fr_thigh",), {"ratio": -0.45})
-    log = logged(quadruped, [weak, ("contact_solver", (), {"cone": cone})])
+    log = logged(quadruped, [weak, ("contact_solver", (), {"cone": 1.0})])
     with fitting(log, ("motor_gain", "ground_friction")) as fitter:
         screen = fitter.screen
         cause = next(c for c in screen.candidates if c.place == ("fr_thigh",))
         fit = fitter.looked_at(fitter.nominal(), [Cause(cause, (-0.45,))])
         assert fit is not None
         found = fitter.with_likelier_solver(fit)
-        assert found.about[screen.index["contact_solver", (), "cone"]] == cone
+        assert found.about[screen.index["contact_solver", (), "cone"]] == 1.0
 
 
 def test_how_the_solver_treats_friction_is_a_nuisance(made: Callable[..., Path]) -> None:

@@ -159,11 +159,9 @@ def test_an_output_that_is_there_fails_its_item_alone_and_stays(tmp_path: Path) 
 
 def test_a_job_after_a_lost_one_may_replace_what_that_left(tmp_path: Path) -> None:
     """The machine went down between the output and the note that it is done."""
-    out = str(tmp_path / "synth")
-    job = Job("good", "synth", ("--out", out, "--frames", "2", "--width", "80"), (out,))
-    (outcome,) = run_many([job], tmp_path / "jobs")
-    result = tmp_path / "jobs" / job.key / "result.json"
-    result.unlink()
+    job = items(tmp_path)[1]
+    run_many([job], tmp_path / "jobs")
+    (tmp_path / "jobs" / job.key / "result.json").unlink()
     (outcome,) = run_many([job], tmp_path / "jobs")
     assert outcome.ok, outcome.result
     assert not outcome.kept

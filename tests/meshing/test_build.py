@@ -21,6 +21,7 @@ from .scenes import Ball, Box, distance, one_side, ring, scene
 
 BLOCK = Box((-0.25, -0.2, 0.0), (0.25, 0.2, 0.3))
 CONFIG = MeshConfig(resolution=0.015, residual_views=2)
+COARSE = replace(CONFIG, resolution=0.025)
 
 
 def seen(mesh: TerrainMesh) -> Surface:
@@ -59,7 +60,7 @@ def test_vertical_faces_stay_vertical(block: tuple[AlignedScene, TerrainMesh]) -
 def test_somebody_who_walks_by_is_left_out_and_said(block: tuple[AlignedScene, TerrainMesh]) -> None:
     assert block[1].warnings == ()
     path = [Box((x, 0.4, 0.0), (x + 0.2, 0.55, 0.7)) for x in np.linspace(-0.7, 0.5, 12)]
-    mesh = build(scene([BLOCK], ring(), noise=0.0015, passing=path), CONFIG)
+    mesh = build(scene([BLOCK], ring(), noise=0.0015, passing=path), COARSE)
     assert any("looked through" in w for w in mesh.warnings)
     surface = seen(mesh)
     lost = distance([BLOCK], surface.sample(20_000, 0)) > 0.03
@@ -68,7 +69,7 @@ def test_somebody_who_walks_by_is_left_out_and_said(block: tuple[AlignedScene, T
 
 def test_somebody_who_shifts_from_foot_to_foot_is_said() -> None:
     path = [Box((x, 0.4, 0.0), (x + 0.15, 0.55, 0.5)) for x in 0.1 * np.sin(1.3 * np.arange(24))]
-    mesh = build(scene([BLOCK], ring(24), noise=0.0015, passing=path), CONFIG)
+    mesh = build(scene([BLOCK], ring(24), noise=0.0015, passing=path), COARSE)
     assert any("looked through" in w for w in mesh.warnings)
 
 
@@ -129,7 +130,7 @@ def test_a_gap_that_was_seen_through_stays_open() -> None:
 
 def test_far_sides_are_invented_and_said_so() -> None:
     aligned = scene([BLOCK], one_side(), noise=0.001)
-    mesh = build(aligned, CONFIG)
+    mesh = build(aligned, COARSE)
     centre = mesh.vertices[mesh.triangles].mean(1)
     back = (np.abs(centre[:, 0]) < 0.2) & (np.abs(centre[:, 1] - 0.2) < 0.04) & (np.abs(centre[:, 2] - 0.12) < 0.08)
     assert back.any()
@@ -137,7 +138,7 @@ def test_far_sides_are_invented_and_said_so() -> None:
     front = (np.abs(centre[:, 0]) < 0.2) & (np.abs(centre[:, 1] + 0.2) < 0.01) & (np.abs(centre[:, 2] - 0.15) < 0.1)
     assert front.any()
     assert not mesh.invented[front].any()
-    none = build(aligned, replace(CONFIG, close=False))
+    none = build(aligned, replace(COARSE, close=False))
     assert not none.invented.any()
     assert np.array_equal(none.seen, mesh.seen)
 
@@ -160,7 +161,7 @@ def test_solid_is_closed_and_has_the_right_volume(block: tuple[AlignedScene, Ter
 def test_islands_are_removed() -> None:
     speck = Ball((0.5, 0.5, 0.5), 0.08)
     aligned = scene([BLOCK, speck], ring(16), noise=0.0005)
-    config = replace(CONFIG, close=False)
+    config = replace(COARSE, close=False)
     assert (seen(build(aligned, replace(config, min_island=0.2))).vertices[:, 2] < 0.36).all()
     kept = build(aligned, replace(config, min_island=0.0))
     assert (seen(kept).vertices[:, 2] > 0.45).any()
@@ -168,10 +169,10 @@ def test_islands_are_removed() -> None:
 
 def test_decimation_keeps_to_count_and_bound() -> None:
     aligned = scene([BLOCK], ring(), noise=0.001)
-    few = build(aligned, replace(CONFIG, close=False, max_triangles=4000, max_error=0.01))
+    few = build(aligned, replace(COARSE, close=False, max_triangles=4000, max_error=0.01))
     assert few.quality.triangles <= 4000
     assert 0 < few.statistics["decimation_error_mm"] <= 10
-    strict = build(aligned, replace(CONFIG, close=False, max_triangles=1000, max_error=0.0005))
+    strict = build(aligned, replace(COARSE, close=False, max_triangles=1000, max_error=0.0005))
     assert strict.quality.triangles > 1000
     assert strict.statistics["decimation_error_mm"] <= 0.5
     assert strict.statistics["kept_for_error_bound"]

@@ -20,6 +20,7 @@ from training.pointmap.layouts import library
 from training.pointmap.network import TINY, PointmapNet
 from training.pointmap.scenes import Generator
 
+pytestmark = pytest.mark.usefixtures("quick_export")
 SMALL = ["--shape", "tiny", "--height", "32", "--width", "48", "--images", "4", "--views", "2", "--samples", "1",
          "--scenes", "4", "--warmup", "2", "--log-every", "1", "--device", "cpu"]  # fmt: skip
 CPU = train.Rank(0, 1, torch.device("cpu"))
@@ -122,7 +123,7 @@ def test_two_processes_share_the_work_where_only_torch_is_installed(tmp_path: Pa
 
 @pytest.mark.slow
 def test_the_exported_file_is_what_realsim_reads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A network after a few steps, its weights in half precision and in 8 bits; the latter through the backend onnx."""
+    """A network after a step, its weights in half precision and in 8 bits; the latter through the backend onnx."""
     pytest.importorskip("onnxruntime")
     pytest.importorskip("onnx")
     from realsim import feedforward
@@ -130,7 +131,7 @@ def test_the_exported_file_is_what_realsim_reads(tmp_path: Path, monkeypatch: py
     from realsim.feedforward.config import OnnxConfig, PointsConfig
     from training.pointmap import bundle, export, shipped
 
-    monkeypatch.setattr(bundle, "ROUNDS", 2)  # of a long graph onnxruntime thinks for seconds
+    monkeypatch.setattr(bundle, "ROUNDS", 1)  # of a long graph onnxruntime thinks for seconds
     traced: list[tuple[bytes, dict[str, float]]] = []
     trace = export.export
 
@@ -143,7 +144,7 @@ def test_the_exported_file_is_what_realsim_reads(tmp_path: Path, monkeypatch: py
         return traced[0][1]
 
     monkeypatch.setattr(export, "export", once)
-    net = run("--out", str(tmp_path / "run"), "--steps", "2").net
+    net = run("--out", str(tmp_path / "run"), "--steps", "1").net
     batch = Generator(library(4, 1, ("clutter",)), 1, samples=1).batch(0, 1, 3, (48, 64))
     frames = []
     for k in range(3):

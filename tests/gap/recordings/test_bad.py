@@ -36,7 +36,7 @@ def test_a_file_that_is_cut_off_is_read_as_far_as_it_goes(mcap: Path, tmp_path: 
     whole, (part,) = read(mcap)[0].streams[0].count, read(short)
     assert 0 < part.streams[0].count < whole
     assert any("cut off" in n for n in part.notes)
-    for length in range(2 * mcap.stat().st_size // 5, mcap.stat().st_size, mcap.stat().st_size // 97):
+    for length in range(2 * mcap.stat().st_size // 5, mcap.stat().st_size, mcap.stat().st_size // 23):
         short.write_bytes(mcap.read_bytes()[:length])
         notes: list[str] = []
         list(mcap_records(short, notes))
@@ -64,7 +64,7 @@ def test_damaged_files_of_every_kind(name: str, content: bytes, tmp_path: Path) 
 def test_damage_anywhere_is_no_traceback(mcap: Path, tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     data = bytearray(mcap.read_bytes())
-    for trial in range(12):
+    for trial in range(6):
         spoiled = data.copy()
         for at in rng.integers(0, len(spoiled), 5):
             spoiled[at] ^= 0xFF
