@@ -20,7 +20,7 @@ from realsim.export.contact.heatmap import heatmap_png
 from realsim.export.contact.probe import BALL, SimTouch, first_touch, spec_of
 from realsim.export.contact.shape import Shape
 from tests.export.measured import CONFIG, FACING_UP, fidelity
-from tests.truths.solids import TERRAINS, block, terrain, with_floor
+from tests.truths.solids import TERRAINS, block, grid_mesh, terrain, with_floor
 
 
 @pytest.mark.parametrize("name", list(TERRAINS))
@@ -164,13 +164,9 @@ def test_a_height_field_turns_edges_into_ramps() -> None:
 
 
 def test_nothing_sinks_into_a_height_field() -> None:
-    x, y = np.meshgrid(np.linspace(-2, 2, 61), np.linspace(-2, 2, 61))
-    index = np.arange(x.size).reshape(x.shape)
-    a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]))
-    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]).astype(np.int32)
-    points = np.stack([x, y, 0.2 * np.sin(2 * x) * np.cos(3 * y) + 0.2], -1).reshape(-1, 3)
+    points, faces = grid_mesh(lambda x, y: 0.2 * np.sin(2 * x) * np.cos(3 * y) + 0.2, 4.0, 60)
     quality = MeshQuality(len(points), len(faces), False, True, 0, 0, 1, None)
-    mesh = TerrainMesh(points, faces, None, np.zeros(len(faces), bool), quality, "made", 0.0)
+    mesh = TerrainMesh(points, faces.astype(np.int32), None, np.zeros(len(faces), bool), quality, "made", 0.0)
     f = fidelity(CONTACT["hfield"](Shape(mesh, 0.0), CONFIG), mesh, probes=900, feet=0)
     assert f["leaks"] == 0
     assert f["p95_mm"] < 1

@@ -20,6 +20,7 @@ from realsim.export.ground import ground_level
 from realsim.export.mend import mend, read_mesh
 from realsim.export.pieces import convex_solids, without_twins
 from tests.truths.scanned_rooms import closet
+from tests.truths.solids import grid_mesh
 
 STEPS = [((0.3 * k + 0.15, 0, 0.075 * (k + 1)), (0.3, 1.0, 0.15 * (k + 1))) for k in range(3)]
 FLOOR = ((0.5, 0, -0.05), (3.0, 2.0, 0.1))
@@ -33,12 +34,7 @@ def put_together(*boxes: tuple) -> trimesh.Trimesh:
 
 def sheet(height, size: float = 4.0, cells: int = 40) -> trimesh.Trimesh:
     """An open surface over a square."""
-    t = np.linspace(-size / 2, size / 2, cells + 1)
-    x, y = np.meshgrid(t, t)
-    n = cells + 1
-    a = (np.arange(cells)[:, None] * n + np.arange(cells)).ravel()
-    faces = np.concatenate([np.stack([a, a + 1, a + n], 1), np.stack([a + 1, a + n + 1, a + n], 1)])
-    return trimesh.Trimesh(np.column_stack([x.ravel(), y.ravel(), height(x, y).ravel()]), faces, process=False)
+    return trimesh.Trimesh(*grid_mesh(height, size, cells), process=False)
 
 
 def as_terrain(mesh: trimesh.Trimesh):
@@ -192,18 +188,18 @@ def test_one_triangle_and_crossing_sheets(tmp_path: Path) -> None:
     assert ground_level(as_terrain(crossing)).z <= -0.19
 
 
-def test_triangulated_points_with_slivers_on_their_rim_are_a_height_field(tmp_path: Path) -> None:
+def test_triangulated_points_with_slivers_on_their_rim_make_a_good_height_field(tmp_path: Path) -> None:
     """Upright slivers look like walls with nothing behind, which no height field has and which no sheet carries."""
     rng = np.random.default_rng(4)
-    place = np.vstack([rng.uniform(-0.75, 0.75, (625, 2)), 0.75 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])])
+    place = np.vstack([rng.uniform(-1.5, 1.5, (2500, 2)), [[-1.5, -1.5], [1.5, -1.5], [1.5, 1.5], [-1.5, 1.5]]])
     x, y = place.T
-    height = 0.2 * np.sin(2 * x) * np.cos(1.5 * y) + 0.2 * (x > 0.25)
+    height = 0.2 * np.sin(2 * x) * np.cos(1.5 * y) + 0.2 * (x > 0.5)
     trimesh.Trimesh(np.column_stack([place, height]), Delaunay(place).simplices, process=False).export(
         tmp_path / "a.ply"
     )
     (tmp_path / "out").mkdir()
-    contact = contact_mesh(tmp_path / "a.ply", tmp_path / "out", SceneConfig(contact_probes=400)).contact
-    assert contact["representation"] == "hfield"
+    config = SceneConfig(contact="hfield", contact_probes=400)
+    contact = contact_mesh(tmp_path / "a.ply", tmp_path / "out", config).contact
     assert any("upright slivers" in note for note in contact["mended"])
     assert contact["verdict"]["level"] == "good"
 

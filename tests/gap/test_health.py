@@ -210,16 +210,8 @@ def test_a_single_sample_far_from_those_around_it_is_said(good: Case) -> None:
 
 
 def test_a_run_cut_out_of_motion_does_not_begin_at_rest(good: Case) -> None:
-    def cut(run: Run) -> Run:
-        keep = run.time > 1.1
-        return replace(
-            run,
-            time=run.time[keep] - run.time[keep][0],
-            command=run.command[keep],
-            signals={k: v[keep] for k, v in run.signals.items()},
-        )
-
-    assert any("does not begin at rest" in w for w in health(spoiled(good, cut))["warnings"])
+    cut = spoiled(good, lambda run: run.part(run.time > 1.1))
+    assert any("does not begin at rest" in w for w in health(cut)["warnings"])
 
 
 def test_a_start_elsewhere_is_said(good: Case) -> None:

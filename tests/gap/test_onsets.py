@@ -15,7 +15,7 @@ PUSHED = {"run_02": 1.9, "run_03": 1.2, "run_05": 2.3, "run_06": 2.3}
 SPAN = (3.0, 3.3)
 """Seconds of a run: the last push ends at 2.8."""
 WINDOWS = tuple((at, at + 0.5) if (at := PUSHED.get(f"run_{i:02d}")) else None for i in range(1, 7))
-RIVALS = ("external_force", "coulomb_friction", "payload", "motor_gain", "command_delay")
+RIVALS = ("external_force", "coulomb_friction", "payload", "command_delay")
 
 
 def onsets_of(folder) -> dict[str, float]:

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from realsim.gap import DiagnoseConfig, Run, diagnose, load_case
+from realsim.gap import DiagnoseConfig, diagnose, load_case
 from realsim.gap.case.health import examine
 from realsim.gap.simulation.simulate import Simulator
 from realsim.gap.simulation.start import first_fit
@@ -109,14 +109,8 @@ AT_REST = {
 @pytest.mark.parametrize("name", AT_REST)
 def test_a_robot_at_rest_stays_at_rest_whatever_its_gap(name: str, made: Callable[..., Path]) -> None:
     case = load_case(made(AT_REST[name], runs=2))
-
-    def abrupt(run: Run) -> Run:
-        """The commands begin to move at the first sample."""
-        keep = run.time > 0.49
-        signals = {k: v[keep] for k, v in run.signals.items()}
-        return replace(run, time=run.time[keep] - run.time[keep][0], command=run.command[keep], signals=signals)
-
-    for one in (case, case.with_runs(tuple(abrupt(r) for r in case.runs))):
+    abrupt = case.with_runs(tuple(r.part(r.time > 0.49) for r in case.runs))  # whose commands move at once
+    for one in (case, abrupt):
         with Simulator(one, CONFIG) as simulator:
             assert {s.kind for s in simulator.starts} == {"rest"}
             settled = [t["settle"][0] for t in simulator.nominal_tracks]

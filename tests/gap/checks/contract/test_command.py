@@ -13,28 +13,16 @@ from realsim.cli.command_line import main
 from tests.gap.truth import ARM
 from tests.truths.written import write_case
 
+from .test_contract import onnx_policy
+
 SCALE, DEFAULT = 0.25, np.array([0.3, -0.4])
 WEIGHTS = np.random.default_rng(0).normal(size=(3, 2)).astype(np.float32)
 
 
 def write_policy(path: Path) -> Path:
-    onnx = pytest.importorskip("onnx", reason="onnx is not installed: pip install -e '.[dev]'")
-    from onnx import TensorProto, helper, numpy_helper
-
-    graph = helper.make_graph(
-        [helper.make_node("MatMul", ["obs", "w"], ["actions"])], "p",
-        [helper.make_tensor_value_info("obs", TensorProto.FLOAT, ["n", 3])],
-        [helper.make_tensor_value_info("actions", TensorProto.FLOAT, ["n", 2])],
-        [numpy_helper.from_array(WEIGHTS, "w")],
-    )  # fmt: skip
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9)
     meta = {"joint_names": "shoulder,elbow", "observation_names": "base_ang_vel", "action_scale": str(SCALE),
             "default_joint_pos": "0.3,-0.4", "joint_stiffness": "150,60", "joint_damping": "8,2.6"}  # fmt: skip
-    for key, value in meta.items():
-        entry = model.metadata_props.add()
-        entry.key, entry.value = key, value
-    onnx.save(model, str(path))
-    return path
+    return onnx_policy(path, 3, meta, WEIGHTS)
 
 
 def answering(folder: Path, sent: float) -> Path:

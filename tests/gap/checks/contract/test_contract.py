@@ -260,15 +260,17 @@ def test_a_policy_of_another_robot_is_refused() -> None:
         check(replace(contract, joints=("a", *JOINTS[1:])), loop(contract))
 
 
-def onnx_policy(path: Path, width: int, meta: dict[str, str]) -> Path:
+def onnx_policy(path: Path, width: int, meta: dict[str, str], weights: np.ndarray | None = None) -> Path:
+    """A network that multiplies observations by weights (width, joints), ones of six joints if none are given."""
     onnx = pytest.importorskip("onnx", reason="onnx is not installed: pip install -e '.[dev]'")
     from onnx import TensorProto, helper, numpy_helper
 
+    weights = np.ones((width, 6), np.float32) if weights is None else weights
     graph = helper.make_graph(
         [helper.make_node("MatMul", ["obs", "w"], ["actions"])], "p",
         [helper.make_tensor_value_info("obs", TensorProto.FLOAT, ["n", width])],
-        [helper.make_tensor_value_info("actions", TensorProto.FLOAT, ["n", 6])],
-        [numpy_helper.from_array(np.ones((width, 6), np.float32), "w")],
+        [helper.make_tensor_value_info("actions", TensorProto.FLOAT, ["n", weights.shape[1]])],
+        [numpy_helper.from_array(weights, "w")],
     )  # fmt: skip
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9)
     for key, value in meta.items():
