@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from realsim.capture.arkit import OPENGL
 from realsim.capture.units import step_of
 from realsim.core.errors import CaptureError, PoseError
 from realsim.core.geometry import invert_T
@@ -32,7 +33,6 @@ reading has 0.96 or more, every wrong one 0.56 or less and mostly 0.2."""
 NAMED = 0.85
 """Share from which another reading is named as the one that was used. Poses in feet agree at 0.74 with depth that is 5
 times farther (a rendered capture): the poses' own check, which measures the ratio, is left to refuse them."""
-OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 DEPTH_FACTORS = {
     "depth 5 times nearer": 0.2,
     "depth 5 times farther": 5.0,

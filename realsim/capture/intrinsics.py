@@ -120,8 +120,10 @@ def camera_matrix(values: ArrayLike, source: Path) -> tuple[F64, str]:
     return K, order
 
 
-def _four(K: F64) -> tuple[float, float, float, float]:
-    return float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2])
+def _of_matrix(values: ArrayLike, source: Path) -> tuple[list[float], tuple[str]]:
+    """fx fy cx cy, and the note about how the matrix is written."""
+    K, order = camera_matrix(values, source)
+    return K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist(), (f"{source.name}: the camera matrix is written {order}",)
 
 
 def check(camera: Intrinsics, source: Path) -> Intrinsics:
@@ -191,25 +193,14 @@ def camera_from_mapping(data: Any, source: Path) -> Camera:
     if separate is not None:
         fx, fy, cx, cy = (_number(v, source) for v in separate)
     elif matrix is not None:
-        K, order = camera_matrix(matrix, source)
-        fx, fy, cx, cy = _four(K)
-        notes += (f"{source.name}: the camera matrix is written {order}",)
+        (fx, fy, cx, cy), notes = _of_matrix(matrix, source)
     else:
         raise _no_camera(source, f"the keys {', '.join(map(str, data))}")
     unit, unit_notes = _depth_unit(data, source)
-    width, height = _first(data, WIDTH_KEYS), _first(data, HEIGHT_KEYS)
-    return Camera(
-        fx,
-        fy,
-        cx,
-        cy,
-        None if width is None or height is None else _pixels(width, source),
-        None if width is None or height is None else _pixels(height, source),
-        source,
-        notes + unit_notes,
-        _distortion_warning(data, source),
-        unit,
-    )
+    given = _first(data, WIDTH_KEYS), _first(data, HEIGHT_KEYS)
+    width, height = (None, None) if None in given else (_pixels(v, source) for v in given)
+    warnings = _distortion_warning(data, source)
+    return Camera(fx, fy, cx, cy, width, height, source, notes + unit_notes, warnings, unit)
 
 
 def camera_from_text(text: str, source: Path) -> Camera:
@@ -232,9 +223,8 @@ def camera_from_text(text: str, source: Path) -> Camera:
         width, height = (_pixels(v, source) for v in values[4:]) if len(values) == 6 else (None, None)
         return Camera(fx, fy, cx, cy, width, height, source)
     if len(values) in (9, 16):
-        K, order = camera_matrix(values, source)
-        note = f"{source.name}: the camera matrix is written {order}"
-        return Camera(*_four(K), None, None, source, (note,))
+        (fx, fy, cx, cy), notes = _of_matrix(values, source)
+        return Camera(fx, fy, cx, cy, None, None, source, notes)
     raise _no_camera(source, f"{len(values)} numbers")
 
 

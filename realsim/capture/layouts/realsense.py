@@ -6,7 +6,6 @@ unpacked once, into the user's cache folder, and read from there; a changed reco
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from realsim.capture.layouts import plain
 from realsim.capture.listing import single_file
 from realsim.capture.realsense import library, open_bag
 from realsim.capture.record import write_frames
+from realsim.core.cache import default_folder
 from realsim.core.errors import CaptureError
 from realsim.core.files import check_size, digest, output_folder
 from realsim.core.progress import track
@@ -49,7 +49,7 @@ def unpacked(source: Path) -> Path:
     check_size(source, MAX_BAG_BYTES)
     facts = source.stat()
     key = digest(str(source.resolve()), facts.st_size, facts.st_mtime_ns)[:16]
-    folder = cache_folder() / f"{source.stem}-{key}"
+    folder = default_folder() / "bags" / f"{source.stem}-{key}"
     if folder.is_dir():
         return folder
     with output_folder(folder) as work, open_bag(source, library()) as stream:
@@ -57,12 +57,6 @@ def unpacked(source: Path) -> Path:
         if not count:
             raise CaptureError("no frame in this recording", file=source)
     return folder
-
-
-def cache_folder() -> Path:
-    """`REALSIM_CACHE`, else the user's cache folder, and in it `bags`."""
-    base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
-    return Path(os.environ.get("REALSIM_CACHE") or Path(base) / "realsim") / "bags"
 
 
 LAYOUT = Layout("realsense", "a .bag file recorded with a RealSense camera (extra realsense)", recognise, read)

@@ -18,7 +18,6 @@ from realsim.capture.assemble import View, capture, depth_unit, frames_with
 from realsim.capture.association import associate
 from realsim.capture.config import CaptureConfig
 from realsim.capture.layout import Layout, Recognition
-from realsim.capture.layouts.realsense import cache_folder
 from realsim.capture.listing import Pair, single_file
 from realsim.capture.transforms import Tree, matrix
 from realsim.core.bags.images import (
@@ -36,6 +35,7 @@ from realsim.core.bags.images import (
     seen_from,
 )
 from realsim.core.bags.stream import Bag, stamp_of
+from realsim.core.cache import default_folder
 from realsim.core.errors import CaptureError, RealsimError
 from realsim.core.files import digest, output_folder, read_head, read_json, to_json, write_bytes, write_text
 from realsim.core.types import F64, Dropped, FrameSet, Intrinsics
@@ -115,7 +115,7 @@ def unpacked(source: Path, config: CaptureConfig) -> Path:
     if sum(size for _, size, _ in facts) == 0:
         raise CaptureError("the recording is empty", file=source, found="0 bytes")
     key = digest(str(source.resolve()), facts, config.camera, config.max_time_difference, config.max_pose_gap)[:16]
-    folder = cache_folder() / f"{source.stem}-{key}"
+    folder = default_folder() / "bags" / f"{source.stem}-{key}"
     if folder.is_dir():
         return folder
     bag = Bag(source, CaptureError)

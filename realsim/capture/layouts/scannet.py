@@ -76,11 +76,9 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
 
 def _extrinsic_warnings(folder: Path) -> list[str]:
     """The exporter also writes where each camera sits; nearly always the identity, and not used here."""
-    warnings = []
-    for path in list_files(folder / "intrinsic", (".txt",)):
-        if path.stem.startswith("extrinsic") and not np.allclose(read_matrix(path), np.eye(4), atol=1e-4):
-            warnings.append(f"{path.name} is not the identity; it is not applied")
-    return warnings
+    files = [p for p in list_files(folder / "intrinsic", (".txt",)) if p.stem.startswith("extrinsic")]
+    odd = [p.name for p in files if not np.allclose(read_matrix(p), np.eye(4), atol=1e-4)]
+    return [f"{name} is not the identity; it is not applied" for name in odd]
 
 
 LAYOUT = Layout(

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from realsim.core.geometry import make_T, nearest_rotation
 from realsim.core.types import F64
 
 ITERATIONS = 15
@@ -41,13 +42,10 @@ def umeyama(source: F64, target: F64, weight: F64) -> tuple[F64, float]:
     w = weight / weight.sum()
     a, b = w @ source, w @ target
     x, y = source - a, target - b
-    U, s, Vt = np.linalg.svd((y * w[:, None]).T @ x)
-    d = np.array([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
-    R = U @ np.diag(d) @ Vt
-    scale = float((s * d).sum() / max((w[:, None] * x * x).sum(), 1e-300))
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = scale * R, b - scale * R @ a
-    return T, scale
+    M = (y * w[:, None]).T @ x
+    R = nearest_rotation(M)
+    scale = float((R * M).sum() / max((w[:, None] * x * x).sum(), 1e-300))
+    return make_T(scale * R, b - scale * R @ a), scale
 
 
 def robust_similarity(source: F64, target: F64, distance: F64, weight: F64 | None = None) -> Similarity | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -132,7 +133,8 @@ def associate(
 ) -> Surface:
     """Projective association: sample points of i onto the grid of j, kept where depth (within `gate` metres) and
     normals (within 30 degrees) agree and neither is seen at a grazing angle."""
-    found: list[tuple[F64, ...]] = []
+    none = np.zeros(0, int)
+    found: list[tuple[Any, ...]] = [(none, none, *np.zeros((3, 0, 3)))]
     for i, j in pairs:
         p, n_i = samples[i]
         if not len(p):
@@ -147,9 +149,6 @@ def associate(
         ok &= -np.einsum("mk,mk->m", n, ray) > 0.3
         m = int(ok.sum())
         found.append((np.full(m, i), np.full(m, j), p[ok], q[ok], n[ok]))
-    if not found:
-        none = np.zeros(0, int)
-        return Surface(none, none, np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)))
     return Surface(*(np.concatenate(part) for part in zip(*found, strict=True)))
 
 
