@@ -26,9 +26,9 @@ task = ParkourConfig(depth=DepthConfig(use=False), termination=TerminationConfig
 config = TrainConfig(
     robot="quadruped",
     device="cpu",
-    worlds=32,
+    worlds=16,
     task=task,
-    loop=LoopConfig(iterations=3, evaluate_every=0, tensorboard=False),
+    loop=LoopConfig(iterations=2, evaluate_every=0, tensorboard=False),
     ppo=PPOConfig(networks=NetworkConfig(actor=(128, 64), critic=(128, 64))),
 )
 
@@ -38,7 +38,7 @@ tuned = train(Scene((terrain,)), base.policy, replace(config, strategy="full"), 
 
 for name, result in (("base", base), ("fine-tuned", tuned)):
     policy, _ = checkpoint.load(result.policy)
-    trials = evaluate(policy.act, terrain, EvaluationConfig(trials=8, worlds=8), Setting("quadruped", task=task))
+    trials = evaluate(policy.act, terrain, EvaluationConfig(trials=4, worlds=4), Setting("quadruped", task=task))
     last = trials.results[0]
     print(f"{name}: {last.successes} of {last.trials} trials reach the goal, {last.covered:.0%} of the way on average")
 print("for the robot:", tuned.onnx)

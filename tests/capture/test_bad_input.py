@@ -18,7 +18,7 @@ from realsim.core.errors import CaptureError, PoseError, RealsimError
 
 from .damage import cut, reason
 from .scene import CAMERA, walk
-from .test_layouts import CONFIG, EVERY, frames_of
+from .test_layouts import CONFIG, frames_of
 from .writers import (
     WRITERS,
     camera_points,
@@ -173,7 +173,7 @@ def test_a_header_with_impossible_promises(tmp_path):
 # ---------------------------------------------------------------- everything
 
 
-@EVERY
+@pytest.mark.parametrize("name", WRITERS)
 def test_random_damage_never_ends_in_anything_but_a_message(name, tmp_path):
     """Cut or scramble each kind of file of each layout: a RealsimError or a capture without the frame, never else."""
     original = tmp_path / "original"
