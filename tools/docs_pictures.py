@@ -6,8 +6,6 @@ WORK keeps what the commands made; a step whose result is there is not run again
 Needs chromium for the pictures of report pages.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

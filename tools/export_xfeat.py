@@ -14,8 +14,6 @@ lighterglue.onnx  keypoints0 (M, 2), keypoints1 (N, 2) from the image's centre o
                   descriptors0 (M, 64), descriptors1 (N, 64) -> log_assignment (M, N): log-probability of each match
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import sys

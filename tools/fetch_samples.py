@@ -8,8 +8,6 @@ that was written anew would test this toolkit's writer. The licence lies beside 
 the right checksum, is not fetched again.
 """
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import json

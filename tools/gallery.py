@@ -6,8 +6,6 @@ Writes docs/gallery/NAME.html. The page of a training is made on a GPU: `realsim
 docs/gallery/training.html`.
 """
 
-from __future__ import annotations
-
 import runpy
 import shutil
 import sys

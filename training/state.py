@@ -10,8 +10,6 @@ next update of G1 moved the policy by a KL divergence of 0.022 instead of 0.019;
 seed).
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
 import lzma

@@ -1,7 +1,5 @@
 """Pieces of published models that no ONNX graph can hold, and the same mathematics without them."""
 
-from __future__ import annotations
-
 import contextlib
 import sys
 import types

@@ -4,8 +4,6 @@ An exporter runs where a person has installed a project and its weights; neither
 contract (docs/models.md) wants to know in the file's metadata, so that nothing has to be guessed later.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import sys

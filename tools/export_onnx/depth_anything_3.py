@@ -6,8 +6,6 @@ The weights of SMALL and BASE are Apache-2.0; LARGE and GIANT are CC BY-NC. Writ
 weights have not been run here (docs/models.md).
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Any

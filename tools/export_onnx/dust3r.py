@@ -7,8 +7,6 @@ Code and weights are CC BY-NC-SA: not for commercial use. Written against the pu
 here (docs/models.md).
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Any

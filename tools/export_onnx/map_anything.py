@@ -6,8 +6,6 @@ The weights of map-anything-apache are Apache-2.0; those of map-anything are CC 
 the weights have not been run here (docs/models.md).
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Any

@@ -5,8 +5,6 @@
 Written against the public code; the weights have not been run here (docs/models.md).
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Any

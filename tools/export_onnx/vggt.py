@@ -6,8 +6,6 @@ The weights of VGGT-1B are for research; facebook/VGGT-1B-Commercial (on request
 against the public code; the weights have not been run here (docs/models.md).
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Any

@@ -9,8 +9,6 @@ gradients, a fixed number of steps each.
 The numbers below were set on generated scenes (training/pointmap/README.md); none is sharp.
 """
 
-from __future__ import annotations
-
 import math
 
 import torch

@@ -1,7 +1,5 @@
 """Cameras: smooth paths that look at one place, at the height of a robot or of a hand, and their intrinsics."""
 
-from __future__ import annotations
-
 import math
 
 import torch

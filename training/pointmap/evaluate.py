@@ -9,8 +9,6 @@ Every figure is printed beside the bar that it has to meet, and beside what a pr
 `--json FILE` the rows are stored too. Captures are never trained on.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

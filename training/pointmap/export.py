@@ -7,8 +7,6 @@ views free. Half precision and int8 are how weights are stored; onnxruntime comp
 CPU. What storing costs is printed, and measured by `evaluate`.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from dataclasses import dataclass

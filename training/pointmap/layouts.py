@@ -4,8 +4,6 @@ The parkour courses are those of `trainer.terrain`; the rest is stairs, ramps, f
 once on the CPU; the GPU picks, scales, mirrors and thins them for every batch (`scenes.py`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The loss: points and poses up to one scale a scene, weighted by the error that the network itself expects."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 from torch.nn import functional as F

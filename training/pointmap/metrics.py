@@ -1,7 +1,5 @@
 """Figures of a prediction against the truth. Arrays are NumPy's; depth is along z, metres."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

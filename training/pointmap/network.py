@@ -10,8 +10,6 @@ Poses are not regressed. The network says which patches of two views show the sa
 `bundle` adjusts poses and depth together.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import torch

@@ -5,8 +5,6 @@ pictures are the same; the rest is solved in closed form: the rigid motion betwe
 one pose a view along the pairs that match best. Everything is made of operations that ONNX has.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

@@ -4,8 +4,6 @@ Every primitive is the image of a unit one, so a ray is taken into the unit prim
 the distance along it stays what it is.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch

@@ -1,7 +1,5 @@
 """From light to a picture, and from true depth to a sensor's."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 from torch.nn import functional as F

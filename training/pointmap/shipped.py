@@ -11,8 +11,6 @@ goes on from there. As a command it keeps the weights of such a file as a state:
  Weights that were stored in 8 bits come back rounded; the optimiser's moments are not there.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

@@ -1,7 +1,5 @@
 """The state of training on disk: one file with weights and the optimiser's moments, read without running code."""
 
-from __future__ import annotations
-
 import io
 import pickle
 from dataclasses import asdict, dataclass, field

@@ -4,8 +4,6 @@ Every material has two colours, a pattern that mixes them, and noise on top. Det
 fades away, as it does in a camera.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache
 

@@ -7,8 +7,6 @@ The folder `run` gets the state (`--resume run` goes on from it) and `curve.json
 Needs torch and numpy only.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os
