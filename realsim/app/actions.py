@@ -1,7 +1,5 @@
 """What can be started from the page: each action is a command with a few of its options."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

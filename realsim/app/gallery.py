@@ -1,7 +1,5 @@
 """Earlier results below a folder: scenes and diagnoses, the latest first."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Who may ask the page: a browser on this machine that knows the token."""
 
-from __future__ import annotations
-
 from collections.abc import Awaitable, Callable
 from http.cookies import CookieError, SimpleCookie
 from secrets import compare_digest

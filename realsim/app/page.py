@@ -1,7 +1,5 @@
 """The page: open something, see what it is, start a command, watch it, look at the result."""
 
-from __future__ import annotations
-
 import asyncio
 import shlex
 import time

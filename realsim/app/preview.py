@@ -1,7 +1,5 @@
 """Pictures and points of what was opened: a few frames, or a thousand points of a surface."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Serves the page on 127.0.0.1: address with a token, reports of finished results, files that were dropped."""
 
-from __future__ import annotations
-
 import signal
 from pathlib import Path
 from secrets import token_urlsafe

@@ -1,7 +1,5 @@
 """A `realsim` command that runs in a process of its own, with its progress and its result."""
 
-from __future__ import annotations
-
 import asyncio
 import time
 from dataclasses import dataclass, field

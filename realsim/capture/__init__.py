@@ -4,8 +4,6 @@ frames = read(Path("my_capture"), CaptureConfig())
 print(inspect(Path("my_capture"), CaptureConfig()).render())
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -5,8 +5,6 @@ depth. Both are found by where steps in depth fall on edges of colour (Levinson 
 no motion is needed. Small differences are left to `feedforward.rgbd.extrinsic_calibration`, which measures them better.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Members of a zip archive as bytes: with limits, never unpacked to disk, an archive that lies is refused."""
 
-from __future__ import annotations
-
 import zipfile
 import zlib
 from dataclasses import dataclass

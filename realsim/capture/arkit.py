@@ -5,8 +5,6 @@ with y against gravity; the camera's axes are x right, y up, z backward (OpenGL'
 in landscape. Depth has a smaller grid than colour over the same view.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 

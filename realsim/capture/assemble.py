@@ -1,7 +1,5 @@
 """From file names and conventions to lazy frames: what every layout of image folders has in common."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

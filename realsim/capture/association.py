@@ -1,7 +1,5 @@
 """Which of two series of timestamps belong together, and poses between samples."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -6,8 +6,6 @@ soft edges too, of shadows and round things: the sharpest fifth tells what lens,
 widens edges along one direction only, hence the worst of four directions counts.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

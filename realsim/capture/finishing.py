@@ -1,7 +1,5 @@
 """Steps for every capture after its layout has read it: examine each frame once, keep the usable ones."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Image files to arrays, with every check that keeps a damaged file from becoming a silently wrong frame."""
 
-from __future__ import annotations
-
 import io
 import struct
 from collections import Counter

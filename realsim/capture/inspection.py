@@ -1,7 +1,5 @@
 """The output of `realsim inspect`."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from html import escape

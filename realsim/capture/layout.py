@@ -5,8 +5,6 @@ What is the same for all of them (range limits, damaged frames, invalid poses, b
 too many frames) happens afterwards, once, in `finishing.py`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Files of a capture in a stable order, and colour and depth brought together by name."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Mapping, Sequence

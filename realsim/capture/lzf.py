@@ -4,8 +4,6 @@ A control byte below 32 is followed by that many literal bytes plus one; any oth
 decompressed: three bits of length (7: another byte follows), 13 bits of distance.
 """
 
-from __future__ import annotations
-
 
 def decompress(data: bytes, size: int) -> bytes:
     """The `size` bytes that `data` unpack to.

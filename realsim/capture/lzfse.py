@@ -4,8 +4,6 @@ Block layout: https://github.com/lzfse/lzfse, lzfse_internal.h. The package `lzf
 unpack whatever it is given, to any size.
 """
 
-from __future__ import annotations
-
 import struct
 
 from realsim.core.errors import extra

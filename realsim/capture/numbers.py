@@ -1,7 +1,5 @@
 """Tables of numbers from parsed JSON or YAML, in which `true` is not 1."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

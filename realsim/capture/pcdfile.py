@@ -4,8 +4,6 @@ Read here rather than by a native library: Open3D 0.20 overruns its buffer on fi
 above 1), which PCL writes for its own colour points, and ends the process.
 """
 
-from __future__ import annotations
-
 import struct
 from dataclasses import dataclass
 from functools import lru_cache

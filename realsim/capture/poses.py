@@ -1,7 +1,5 @@
 """Poses as people write them down, to rigid transforms, or a reason why not."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -3,8 +3,6 @@
 Interface: https://dev.intelrealsense.com/docs/python2 (pyrealsense2). Whatever offers it can stand in for the library.
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Which layout a capture has. Ambiguous or incomplete captures are reported, never guessed."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Recording from a RealSense camera into a plain folder of frames, image by image, so that nothing is ever lost."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path

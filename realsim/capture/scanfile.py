@@ -1,7 +1,5 @@
 """Surfaces and clouds from files: PLY, PCD, LAS/LAZ, OBJ, STL, GLB to plain arrays in the file's own unit."""
 
-from __future__ import annotations
-
 import io
 import re
 import struct

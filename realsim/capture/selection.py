@@ -1,7 +1,5 @@
 """Fewer frames when there are too many: evenly over what changes in the view, the sharpest of each stretch."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Where a scanner stood, told by the cloud itself: from there, no point hides behind another."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from realsim.core.types import F64

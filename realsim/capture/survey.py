@@ -3,8 +3,6 @@
 Only a few figures and a thumbnail a frame are kept, so a thousand frames cost a few megabytes.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor

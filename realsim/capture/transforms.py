@@ -1,7 +1,5 @@
 """A tree of frames (tf): from transforms, fixed and moving, to the pose of one frame at a time."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Is depth in metres what the layout says? A wrong unit is off by a known factor, which shows in the figures."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

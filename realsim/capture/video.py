@@ -5,8 +5,6 @@ jump back the frame that comes is known to be the right one; where seeking misse
 read again from the start.
 """
 
-from __future__ import annotations
-
 import threading
 from collections import OrderedDict
 from dataclasses import dataclass

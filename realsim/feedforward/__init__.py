@@ -1,7 +1,5 @@
 """Frames to pointmaps and poses, up to scale. One backend is one module (or package) and one line here."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from realsim.core.errors import CaptureError

@@ -1,7 +1,5 @@
 """Interface of backends: two functions, and the files that they read; and their views, kept in memory."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path

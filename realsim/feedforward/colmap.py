@@ -4,8 +4,6 @@ Sensor depth is not used here at all. The scale stage compares it with the trian
 mask therefore holds a few hundred pixels, not a surface. Needs the extra `colmap`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory

@@ -1,7 +1,5 @@
 """From an aligned scene to its surface."""
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Repairs that change no shape: weld, orient, order; and removal of what is no surface."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from realsim.core.types import Bool

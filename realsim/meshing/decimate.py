@@ -1,7 +1,5 @@
 """Fewer triangles within an error bound that is measured, not assumed."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

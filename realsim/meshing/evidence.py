@@ -1,7 +1,5 @@
 """All that the views say about the surface, gathered in one pass."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,8 +1,6 @@
 """Surface methods: (aligned, evidence) -> measured surface. Screened Poisson (Kazhdan and Hoppe 2013), cut back to what
 was measured; signed distance fusion of the depth in voxel blocks is the plain alternative."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

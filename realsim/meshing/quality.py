@@ -1,7 +1,5 @@
 """Is a mesh sound, and how far is it from what the views measured?"""
 
-from __future__ import annotations
-
 import numpy as np
 
 from realsim.core.meshes import linked

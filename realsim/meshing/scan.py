@@ -1,7 +1,5 @@
 """Finished scans: meshes are cropped and cleaned, clouds are meshed."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

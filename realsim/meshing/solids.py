@@ -1,7 +1,5 @@
 """Closed volume from an open surface: what is under a seen face is solid, unless a camera looked through it."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """Cut away what no camera measured: membranes, bulges behind silhouettes, veils in seen-through space."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

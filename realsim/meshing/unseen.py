@@ -1,7 +1,5 @@
 """What no camera saw of the ground and the tops, and from where it would come into view."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -4,8 +4,6 @@ Everything works on inverse depth: there a plane is a linear function of the pix
 structured-light sensor is the same at every distance, so one number describes it (its sigma, in 1/m).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

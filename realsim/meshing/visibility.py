@@ -1,7 +1,5 @@
 """Evidence of the cameras about a place: measured, or seen through."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

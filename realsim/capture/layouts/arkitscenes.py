@@ -5,8 +5,6 @@ in millimetres; a `.pincam` is `width height fx fy cx cy`; a line of the traject
 and a translation, world to camera with OpenCV's camera axes. The world has z up.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 

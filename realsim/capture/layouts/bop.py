@@ -4,8 +4,6 @@ Format (docs/bop_datasets_format.md of thodan/bop_toolkit): of each image `cam_K
 image it is mm) and, in most scenes, the world in the camera, `cam_R_w2c` row by row and `cam_t_w2c` in mm.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

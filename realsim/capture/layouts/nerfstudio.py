@@ -5,8 +5,6 @@ camera axes; figures at the top of the file hold for all frames, others stand in
 0.001 of the poses' unit, for arrays too; pixel centres are at half integers.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -4,8 +4,6 @@ Conventions: http://www.open3d.org/docs (reconstruction system, file formats): t
 column, depth is in millimetres, `trajectory.log` holds camera-to-world matrices under headers `i i i+1`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -5,8 +5,6 @@ settles the trap of PCD's VIEWPOINT entry, which some writers fill with a flip o
 some with the sensor's pose, and some with a pose that is already applied: the reading whose points fit a camera wins.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

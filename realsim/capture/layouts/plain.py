@@ -1,7 +1,5 @@
 """A plain folder: rgb|color|images/, depth/, and intrinsics.json|yaml|txt. No poses."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from realsim.capture.assemble import View, cameras, capture, depth_unit, frames_with

@@ -4,8 +4,6 @@ Format: https://github.com/PolyCam/polyform (README, "Polycam's data format"). D
 127 or 255; `t_ij` is the camera-to-world matrix row by row in ARKit's axes and world.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from realsim.capture.arkit import AXES_NOTE, GRIDS_NOTE, UP, WORLD_NOTE, from_opengl

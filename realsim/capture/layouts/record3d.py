@@ -5,8 +5,6 @@ levels. In the metadata, `K` is the colour camera's matrix column by column, `pe
 each frame, and `poses` are qx qy qz qw tx ty tz with ARKit's camera axes.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

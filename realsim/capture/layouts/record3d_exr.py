@@ -3,8 +3,6 @@
 Depth is one float channel in metres, NaN where invalid; the metadata are those of a `.r3d`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -4,8 +4,6 @@ Conventions (its reader of this set): sixteen numbers a line of `traj.txt`, came
 by row; `scale` in the camera's file is steps of depth a metre.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from realsim.capture.assemble import View, cameras, capture, depth_unit, frames_with, require_both

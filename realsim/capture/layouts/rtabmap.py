@@ -5,8 +5,6 @@ depth is in mm. `_poses` are those of the robot, on which `local_transform` of t
 axes); `_camera_poses` are the camera's. A row is 12 numbers of a matrix, or `time x y z qx qy qz qw`, then the node.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A finished surface (a LiDAR cloud, a phone's mesh, one made by hand), which enters the pipeline at `align`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

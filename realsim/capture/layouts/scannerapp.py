@@ -4,8 +4,6 @@ Every frame has a JSON with `cameraPoseARFrame` (4x4, row by row, camera to worl
 `intrinsics` (3x3, row by row, of the colour image), and depth in millimetres; only some have a colour image.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from realsim.capture.arkit import AXES_NOTE, BEST_CONFIDENCE, GRIDS_NOTE, UP, WORLD_NOTE, from_opengl

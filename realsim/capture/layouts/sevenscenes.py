@@ -4,8 +4,6 @@ Sources: the 7-Scenes page of Microsoft Research (depth in mm, 65535 invalid, po
 README (depth 0 invalid, `camera-intrinsics.txt` a 3x3 matrix); BundleFusion's `info.txt`, in 3RScan `_info.txt`.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from realsim.capture.assemble import View, cameras, capture, depth_unit, frames_with

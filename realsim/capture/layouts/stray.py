@@ -6,8 +6,6 @@ that the app has already turned to OpenCV's camera axes. Its header tells the ve
 with `timestamp, frame` before, or also with `fx, fy, cx, cy` after.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path

@@ -4,8 +4,6 @@ Format: https://cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats. Poses ar
 camera to world. Colour, depth and poses each run on their own clock ticks and are associated by time.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 Any model that fits the contract (docs/models.md) runs through the same code; torch is not needed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,8 +1,6 @@
 """What of a prediction is believed: pixels that are sure enough and lie between no two surfaces, and views that others
 confirm. A model places every view; only overlap shows that it belongs there."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from realsim.core.meshes import linked, members

@@ -1,7 +1,5 @@
 """Checks a model file against the contract: declared and guessed properties, and trial runs."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Runs of a few views each become one set of views: windows joined by similarities, or pairs along a spanning tree."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 

@@ -1,7 +1,5 @@
 """Pictures to what a model eats, and pixels of the model back to those of the picture."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

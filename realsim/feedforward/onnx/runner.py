@@ -1,7 +1,5 @@
 """Frames through a model: runs that fit into memory, joined, masked, and without what does not belong."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A model in onnxruntime: opened with a clear word about what is wrong, run, and asked what it can do."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Mapping

@@ -3,8 +3,6 @@
 Every value remembers where it came from, because a guess that is wrong gives a wrong scene without an error.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field

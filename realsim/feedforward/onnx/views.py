@@ -1,7 +1,5 @@
 """A model's depth as points on a frame's own depth grid."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

@@ -5,8 +5,6 @@ it. Points: the sensor's wherever it measured; the model's where the sensor saw 
 around the hole, and only where the two agree there.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Poses and points from sensor depth: given poses are checked and refined, absent ones are estimated."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

@@ -4,8 +4,6 @@ The proposals, in this order: poses refined with the sensor's gain; the same wit
 the sensor can be off and the surfaces alone do not confirm it; poses refined by surfaces alone; the poses as given.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from typing import Any

@@ -5,8 +5,6 @@ most frames agree, the result is put into the capture's world, whose up is known
 depth sensor's gain.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

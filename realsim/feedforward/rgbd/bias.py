@@ -6,8 +6,6 @@ bootstrap that draws groups with replacement, without its random numbers (infini
 Efron 1982, chapter 6).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any

@@ -6,8 +6,6 @@ look. A few frames with wrong poses are named so that they can be dropped. Poses
 and the table of hypotheses.py says what they look like.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property

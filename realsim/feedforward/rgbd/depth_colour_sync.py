@@ -6,8 +6,6 @@ tell, and the same test under other readings (depth some frames earlier or later
 A capture of which everything is mirrored is a capture of the mirrored place: nothing in it says otherwise.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

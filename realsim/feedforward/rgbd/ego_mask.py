@@ -5,8 +5,6 @@ A place is looked through where another frame sees something clearly farther alo
 that is pushed along keeps its distance too, but nobody looks through it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any

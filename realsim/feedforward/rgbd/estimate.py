@@ -1,7 +1,5 @@
 """Poses from frames alone: pairs, pose graph, then the adjustment of refine.py. World = camera of the first frame."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any

@@ -4,8 +4,6 @@ Depth was measured without the poses, so where two frames see one surface, right
 refinement that follows wrong evidence (colour that is not registered to depth, say) pulls them apart.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -7,8 +7,6 @@ puts the other. Either a link between these two, found from its own start, close
 where the claim puts them when they are registered, without more violation. What no third frame confirms joins nothing.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Sequence
 

@@ -5,8 +5,6 @@ nothing new, but couple to each other: its cost would grow with the square of th
 that moved on from the last one are adjusted together; the others follow them (localize.py), each on its own.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

@@ -9,8 +9,6 @@ Its keypoints become features of the views, without a classical descriptor: noth
 localised to a pixel and a half instead of a third of one, and count accordingly.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -4,8 +4,6 @@ A camera point (X, Y, Z) is measured as (X/Z, Y/Z, 1/Z): pixel and disparity of 
 same at every distance.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -8,8 +8,6 @@ follow each other; and if, once it is closed, no surface stands where another fr
 be trusted at all is measured on the claims that chains can check. Pieces that nothing joins stay apart, with a warning.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Selects the pairs of frames to compare, and aligns them: by features, or by shape where there is no texture."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Do two depth images agree about the space between them? The judge of every pair, whatever proposed its motion."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -3,8 +3,6 @@
 Parameters of a pose are a twist (v, w) on its camera side: T exp(d). All costs are linear in the number of edges.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -9,8 +9,6 @@ believed is found from the data (refine_adjust.py), so exact poses stay where th
 were estimated from the depth go through the same adjustment with a prior that only fixes what the data leave free.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise

@@ -16,8 +16,6 @@ Helmert's variance components, sum of weighted squares over redundancy. Conventi
 c <- c + t, both in world axes.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

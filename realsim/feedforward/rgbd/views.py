@@ -1,7 +1,5 @@
 """The points of a view from sensor depth: edges masked, confidence by range, angle and nearness to an edge."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

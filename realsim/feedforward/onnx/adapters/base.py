@@ -1,7 +1,5 @@
 """Interface of adapters, and their shared parts: axes, confidences, poses."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 

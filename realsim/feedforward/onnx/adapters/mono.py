@@ -3,8 +3,6 @@
 Such a model knows points up to a scale and a shift along z. Both follow from where the points must project to.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

@@ -1,8 +1,6 @@
 """Models of several views: points in each camera (Pi3, MapAnything), depth (Depth Anything 3, VGGT's depth head),
 points in one world (VGGT's point head); and of two, both in the first camera's frame (DUSt3R, MASt3R)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 
