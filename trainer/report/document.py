@@ -86,9 +86,7 @@ def _facts(shown: Shown) -> str:
 def _families(shown: Shown) -> str:
     title = "By terrain family"
     if not figures.families(shown.runs):
-        return page.card(
-            title, '<p class="note absent">Not logged: success, way covered and row by family.</p>', wide=True
-        )
+        return page.card(title, figures.absent("Not logged: success, way covered and row by family."), wide=True)
     return figures.card(title, figures.by_family(shown.runs), shown)
 
 
@@ -100,7 +98,7 @@ def _overall(shown: Shown) -> str:
     title = "Success in evaluations on the way" + (f" (aim: {targets})" if targets else "")
     plots = [curves.plot(title, kept, shown.reach, scale="share")] if kept else []
     without = ", ".join(run.name for run, c in zip(shown.runs, found, strict=True) if c is None)
-    more = f'<p class="note absent">No evaluations on the way: {page.esc(without)}.</p>' if without else ""
+    more = figures.absent(f"No evaluations on the way: {without}." if without else "")
     means = "" if shown.width == 1 else f"Every point is the mean of {shown.width} iterations. "
     note = means + "While exploring, on the rows that the curriculum has reached."
     return figures.card("Overall", figures.overall(), shown, note, first=plots, more=more)
@@ -111,17 +109,11 @@ def _rewards(shown: Shown) -> str:
     note = "Reward per step of each term with its weight, largest first."
     rest = [plot for figure in terms[_FIRST_TERMS:] for plot in figures.draw(figure, shown)]
     more = page.fold(f"{len(rest)} smaller terms", figures.multiples(rest)) if rest else ""
-    more += f'<p class="note absent">Zero throughout: {page.esc(", ".join(zero))}.</p>' if zero else ""
-    if not terms and not zero:
-        more = '<p class="note absent">Not logged.</p>'
+    more += figures.absent(f"Zero throughout: {', '.join(zero)}." if zero else "" if terms else "Not logged.")
     return figures.card("Reward terms", terms[:_FIRST_TERMS], shown, note, more=more)
 
 
 def _rest(shown: Shown) -> str:
     others = figures.rest(shown.runs)
-    plots = [plot for figure in others for plot in figures.draw(figure, shown)]
-    return (
-        page.card("Other figures", page.fold("what this page has no place for", figures.multiples(plots)), wide=True)
-        if plots
-        else ""
-    )
+    plots = figures.multiples([plot for figure in others for plot in figures.draw(figure, shown)])
+    return page.card("Other figures", page.fold("what this page has no place for", plots), wide=True) if plots else ""

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from realsim.report import page, svg
 from trainer.report.curves import WIDTH, format_value
 from trainer.report.evaluations import Evaluated
-from trainer.report.figures import Figure, Shown, families, multiples
+from trainer.report.figures import Figure, Shown, absent, families, multiples
 from trainer.report.history import LAST, Run
 
 CAUSES = ("ground", "tilt", "collapsed", "stuck", "timeout", "diverged")
@@ -35,15 +35,11 @@ def by_family(shown: Shown) -> str:
     if not found:
         return ""
     causes = [SUCCESS, *_ordered(c for *_, shares in found for c in shares if c != SUCCESS)]
-    if shown.one:
-        plots = [_bars("By family", [(family, shares) for family, _, shares in found], causes)]
-    else:
-        plots = [
-            _bars(family, [(name, shares) for f, name, shares in found if f == family], causes)
-            for family in dict.fromkeys(f for f, *_ in found)
-        ]
-    note = f'<p class="note absent">By terrain family, mean over the last {LAST} iterations:</p>'
-    return note + multiples(plots) + _legend(causes)
+    groups = {"By family": [(family, shares) for family, _, shares in found]}
+    if not shown.one:
+        groups = {f: [(name, shares) for g, name, shares in found if g == f] for f, *_ in found}
+    plots = [_bars(title, rows, causes) for title, rows in groups.items()]
+    return absent(f"By terrain family, mean over the last {LAST} iterations:") + multiples(plots) + _legend(causes)
 
 
 def _family_shares(run: Run, family: str) -> dict[str, float]:
@@ -63,13 +59,8 @@ def _bars(title: str, rows: Sequence[tuple[str, dict[str, float]]], causes: Sequ
         for cause in causes:
             share = shares.get(cause, 0.0)
             if share > 0:
-                _rectangle(
-                    axes,
-                    (at, at + share),
-                    (y - 0.38, y + 0.38),
-                    cause,
-                    f"{name}: {cause} {format_value(share, 'share')}",
-                )
+                title_ = f"{name}: {cause} {format_value(share, 'share')}"
+                _rectangle(axes, (at, at + share), (y - 0.38, y + 0.38), cause, title_)
                 at += share
     return f"<figure><h4>{page.esc(title)}</h4>{axes.svg(f'how episodes end, {title}')}</figure>"
 

@@ -173,10 +173,12 @@ def card(
     """Figures side by side, after the plots `first`; figures that not every run has logged are listed below."""
     plots = [*first, *(plot for figure in figures for plot in draw(figure, shown))]
     body = multiples(plots) + more
-    absent = missing(figures, shown)
-    return page.card(
-        title, body + (f'<p class="note absent">{page.esc(absent)}</p>' if absent else ""), note, wide=True
-    )
+    return page.card(title, body + absent(missing(figures, shown)), note, wide=True)
+
+
+def absent(text: str) -> str:
+    """A line on what is not there; nothing of nothing."""
+    return f'<p class="note absent">{page.esc(text)}</p>' if text else ""
 
 
 def multiples(plots: Sequence[str]) -> str:

@@ -1,7 +1,6 @@
 """Figures of runs side by side: at their ends, and after equally long training."""
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -25,8 +24,8 @@ def runs_card(shown: Shown) -> str:
         last = "–"
         if len(run.on_the_way):
             last = f"{percent(run.on_the_way[-1, 1])} after {run.on_the_way[-1, 0]:.0f}"
-        means = [percent(run.mean("env/success")), percent(run.mean("env/episode/covered"))]
-        rows.append([run.name, *progress(run), *means, svg.number(run.mean("env/terrain/level")), last])
+        success, covered, row = _means(run)
+        rows.append([run.name, *progress(run), percent(success), percent(covered), svg.number(row), last])
     note = f"Success, covered and row are means over the last {LAST} iterations, while exploring."
     return page.card("Runs", f'<div class="lines">{page.table(head, rows)}</div>', note, wide=True)
 
@@ -59,22 +58,25 @@ def _at_equal(shown: Shown, axis: str) -> str:
     unit, label = curves.unit_of(axis, least)
     stops = [int(np.searchsorted(run.over[axis], least * (1 + 1e-9), side="right")) for run in shown.runs]
     where = f"<h4>at {page.esc(svg.number(least / unit, 4))} {page.esc(label)}</h4>"
-    rows = [_row("all episodes", "env/success", "env/episode/covered", "env/terrain/level", shown.runs, stops)]
-    for family in families(shown.runs):
-        parts = [f"env/family/{family}/{what}" for what in ("success", "covered", "row")]
-        rows.append(_row(family, parts[0], parts[1], parts[2], shown.runs, stops))
+    rows = []
+    for family in ("", *families(shown.runs)):
+        each = [_means(run, family, stop) for run, stop in zip(shown.runs, stops, strict=True)]
+        cells = [_three(*m) if any(map(math.isfinite, m)) else "–" for m in each]
+        late = "– (its first iteration took longer)"
+        rows.append([family or "all episodes", *(c if n else late for c, n in zip(cells, stops, strict=True))])
     return where + page.table(["terrain", *(run.name for run in shown.runs)], rows)
 
 
-def _row(name: str, success: str, covered: str, level: str, runs: Sequence[Run], stops: Sequence[int]) -> list[str]:
-    cells = []
-    for run, stop in zip(runs, stops, strict=True):
-        if not stop:
-            cells.append("– (its first iteration took longer)")
-            continue
-        means = [run.mean(figure, stop) for figure in (success, covered, level)]
-        cells.append(_three(*means) if any(map(math.isfinite, means)) else "–")
-    return [name, *cells]
+def _figures(family: str = "") -> list[str]:
+    """Success, share of the way covered and row of the curriculum of a family, or of all episodes."""
+    if family:
+        return [f"env/family/{family}/{what}" for what in ("success", "covered", "row")]
+    return ["env/success", "env/episode/covered", "env/terrain/level"]
+
+
+def _means(run: Run, family: str = "", end: int | None = None) -> list[float]:
+    """`_figures` over the last iterations before row `end`."""
+    return [run.mean(name, end) for name in _figures(family)]
 
 
 def _three(success: float, covered: float, row: float) -> str:
@@ -84,13 +86,11 @@ def _three(success: float, covered: float, row: float) -> str:
 def lines(run: Run) -> list[str]:
     """A run in a few lines for a terminal."""
     iterations, samples, minutes, speed = progress(run)
-    text = f"{run.name}: {iterations} iterations, {samples} samples, {minutes} min, {speed} samples/s; "
-    means = [run.mean(name) for name in ("env/success", "env/episode/covered", "env/terrain/level")]
-    text += f"success {_three(*means)} (last {min(LAST, len(run))} iterations)"
-    found = [text]
-    for family in families([run]):
-        parts = [run.mean(f"env/family/{family}/{what}") for what in ("success", "covered", "row")]
-        found.append(f"  {family:<12} {_three(*parts)}")
+    found = [
+        f"{run.name}: {iterations} iterations, {samples} samples, {minutes} min, {speed} samples/s; "
+        f"success {_three(*_means(run))} (last {min(LAST, len(run))} iterations)"
+    ]
+    found += [f"  {family:<12} {_three(*_means(run, family))}" for family in families([run])]
     if len(run.on_the_way):
         (at, last), best = run.on_the_way[-1], run.on_the_way[:, 1].max()
         found.append(f"  evaluations  {percent(last)} after {at:.0f} iterations; the best {percent(best)}")
@@ -99,8 +99,7 @@ def lines(run: Run) -> list[str]:
 
 def as_dict(run: Run) -> dict[str, object]:
     """A run for machines: where it stands, means over its last iterations, what could not be read."""
-    names = ["env/success", "env/episode/covered", "env/terrain/level"]
-    names += [f"env/family/{f}/{what}" for f in families([run]) for what in ("success", "covered", "row")]
+    names = [name for family in ("", *families([run])) for name in _figures(family)]
     return {
         "name": run.name,
         "folder": str(run.folder),
