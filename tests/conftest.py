@@ -1,7 +1,5 @@
 """Shared fixtures. Data that does not belong to the repository is looked for in REALSIM_SHARED (default ../shared)."""
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import os

@@ -1,7 +1,5 @@
 """Every output of every command in every test is held to its schema (`realsim schema COMMAND`)."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from typing import Any

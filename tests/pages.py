@@ -1,7 +1,5 @@
 """What a report page must be, whichever report it is: well formed, and complete without a network."""
 
-from __future__ import annotations
-
 import re
 from html.parser import HTMLParser
 

@@ -1,7 +1,5 @@
 """`import realsim as rs`: light, typed, text or Path, results that show themselves."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess

@@ -3,8 +3,6 @@
 The other examples are run by tools/check_wheel.sh.
 """
 
-from __future__ import annotations
-
 import json
 import runpy
 import sys

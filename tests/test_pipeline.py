@@ -1,7 +1,5 @@
 """The main job end to end on a small rendered capture: right, repeatable, interruptible, and honest about its input."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

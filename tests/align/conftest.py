@@ -1,7 +1,5 @@
 """Small rendered scenes whose truth is known: boxes on a floor, seen by cameras, in a world that lies askew."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

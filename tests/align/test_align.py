@@ -1,7 +1,5 @@
 """`align` finds the simulation frame of scenes whose truth is known, and says so where it cannot."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 from importlib.metadata import EntryPoint

@@ -1,7 +1,5 @@
 """The rendered captures with their true poses: the figures that the alignment alone is answerable for."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

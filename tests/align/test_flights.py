@@ -1,7 +1,5 @@
 """Stairs are platforms one after another, with a start and a goal; other steep things are not stairs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

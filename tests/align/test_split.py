@@ -1,7 +1,5 @@
 """Level regions that run together come apart, those that are one stay one."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -3,8 +3,6 @@
 Needs `pip install playwright` and Debian's chromium; where one of them is missing, the tests are skipped.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

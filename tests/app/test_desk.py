@@ -1,7 +1,5 @@
 """What is opened is recognised, commands run in their own process, and results are found again."""
 
-from __future__ import annotations
-
 import ast
 import asyncio
 import json

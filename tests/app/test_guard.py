@@ -1,7 +1,5 @@
 """Nobody reaches the page without its token, nor from another machine's name."""
 
-from __future__ import annotations
-
 import asyncio
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The contact benchmark keeps what it could not finish."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from benchmarks.contact.meshes import generated, limited, line, save, summary

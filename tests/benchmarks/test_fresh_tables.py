@@ -1,7 +1,5 @@
 """The table of the last fresh seed: what counts as a hit, row by row."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from benchmarks.diagnosis.score import exactly_right

@@ -1,7 +1,5 @@
 """Answers for withheld logs: compact, and of one engine."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The check on real logs: its labels are exact, its splits fair, its tests of significance right."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

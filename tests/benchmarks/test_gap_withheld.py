@@ -1,7 +1,5 @@
 """The withheld check is kept apart from the diagnosis, follows the contract, and scores what it should."""
 
-from __future__ import annotations
-
 import ast
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Tables of policies: bases are told apart, and nothing of two is added up."""
 
-from __future__ import annotations
-
 import hashlib
 
 from benchmarks.tables.stored import stored

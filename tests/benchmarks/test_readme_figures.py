@@ -1,7 +1,5 @@
 """The tables of README and docs are those of benchmarks/results, to the last digit."""
 
-from __future__ import annotations
-
 import subprocess
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The scale benchmark's own measure: registration finds a scale that was put in, and rows add up."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Figures are kept row by row."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A RealSense library for all tests of captures, and a cache of their own."""
 
-from __future__ import annotations
-
 import sys
 
 import pytest

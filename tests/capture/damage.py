@@ -1,7 +1,5 @@
 """Ways to damage a capture, and what is said of it."""
 
-from __future__ import annotations
-
 
 def reason(capture, name: str) -> str:
     """Why the frame of that name was dropped; also that only it was."""

@@ -1,7 +1,5 @@
 """A stand-in for pyrealsense2 with the part of its interface that is used. Its `.bag` files are NumPy archives."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Sequence
 from pathlib import Path

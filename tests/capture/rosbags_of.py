@@ -1,7 +1,5 @@
 """Bags with a depth camera, written by the `rosbags` package: the exact walk, by ROS's conventions."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A small exact scene for reader tests: a textured floor with a step, seen by a camera that walks along it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache
 

@@ -1,7 +1,5 @@
 """Depth that was recorded as its own sensor saw it, and depth in another unit."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import dataclass, replace
 

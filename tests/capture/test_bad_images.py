@@ -1,7 +1,5 @@
 """Images and depth that are cut, empty, twice there or in another unit: dropped and named, or an error that helps."""
 
-from __future__ import annotations
-
 import shutil
 
 import cv2

@@ -1,7 +1,5 @@
 """Trajectories that are damaged, of another length, convention or time."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Widths of edges: laws that hold for any picture, and what becomes of a capture whose pictures are all smeared."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

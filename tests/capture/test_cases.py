@@ -1,7 +1,5 @@
 """Damaged and unusual captures with the right answer beside each, and others of the same kinds made here."""
 
-from __future__ import annotations
-
 import json
 import struct
 

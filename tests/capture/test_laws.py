@@ -1,7 +1,5 @@
 """Laws that hold for any input: association, pose interpolation, matrix order, rigidity, the choice of frames."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

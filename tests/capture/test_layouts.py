@@ -1,7 +1,5 @@
 """Every layout gives back what was written, by its own conventions."""
 
-from __future__ import annotations
-
 import json
 import pickle
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The traps of the phone apps' formats: axes, worlds, units, archives, videos, what each version writes differently."""
 
-from __future__ import annotations
-
 import json
 import zipfile
 

@@ -1,7 +1,5 @@
 """Recording through the library's interface: nothing lost, nothing half, everything readable."""
 
-from __future__ import annotations
-
 import json
 import sys
 

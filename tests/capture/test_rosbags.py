@@ -1,7 +1,5 @@
 """Bags and MCAP with a depth camera: whatever the encoding, the same frames; what is missing or odd is said."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

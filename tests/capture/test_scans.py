@@ -1,7 +1,5 @@
 """Finished surfaces as sources: every format gives back what was written, and its unit is looked at."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import struct

@@ -1,7 +1,5 @@
 """The captures whose truth is known, and real ones whose conventions are."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

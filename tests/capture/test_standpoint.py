@@ -1,7 +1,5 @@
 """Where a scanner stood is told by what hides behind what."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from realsim.capture.standpoint import stood_at

@@ -1,7 +1,5 @@
 """One writer a layout: a walk of exact views to files, by the layout's own conventions."""
 
-from __future__ import annotations
-
 import json
 import zipfile
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """Pairs of scans of one place, with noise and each in a frame of its own: what changed is found, and nothing else."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The command line: help, exit codes, errors for people and for machines."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """What people do first and wrong: each gets a message with a way out."""
 
-from __future__ import annotations
-
 import ast
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`realsim mcp`, driven by the library's own client over standard input and output."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import os

@@ -1,7 +1,5 @@
 """What is relied on of tyro, outside of its stable interface: the parser that it makes, and its events of errors."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

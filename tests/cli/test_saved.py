@@ -1,7 +1,5 @@
 """Options from a report or a preset."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -3,8 +3,6 @@
 Outputs of the other tests are held to them too (tests/outputs.py).
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

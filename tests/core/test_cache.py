@@ -1,7 +1,5 @@
 """Finished stages come back as they were, and only while their inputs have not changed."""
 
-from __future__ import annotations
-
 import io
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A MuJoCo that computes wrong results is refused; others pass."""
 
-from __future__ import annotations
-
 import pytest
 
 import realsim as rs

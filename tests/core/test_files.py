@@ -1,7 +1,5 @@
 """Written whole or not at all; read with limits."""
 
-from __future__ import annotations
-
 import errno
 import io
 import json

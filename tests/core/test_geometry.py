@@ -1,7 +1,5 @@
 """Laws of rotations and rigid transforms."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """Laws of least squares: the optimum of scipy, of a linear problem in closed form, and of poses in any gauge."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.optimize

@@ -1,7 +1,5 @@
 """Limits of configurations: what is beyond one is refused with its field, the limit and the value."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import pytest

@@ -1,7 +1,5 @@
 """MCAP that is written can be read: a scene, and the signals of a diagnosis."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """MJCF that would run away, or reaches out of its folder, is refused before MuJoCo reads it."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """From a capture on disk and a model in a file to a metric scene, and the sources of points side by side."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Wavefront OBJ by its specification: relative indices, groups, several objects, polygons."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

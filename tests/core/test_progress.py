@@ -1,7 +1,5 @@
 """The time that a job will still take, and the bars that show it."""
 
-from __future__ import annotations
-
 import io
 import signal
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """A name that a registry does not have, and names that installed packages add."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Callable, Mapping

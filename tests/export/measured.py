@@ -1,7 +1,5 @@
 """Figures of collision geometry against exact meshes, for the tests of contact."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from realsim.core.types import TerrainMesh

@@ -1,7 +1,5 @@
 """Small terrains for the export tests: exact solids on a floor, in the simulation frame."""
 
-from __future__ import annotations
-
 import numpy as np
 import trimesh
 

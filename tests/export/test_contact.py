@@ -1,7 +1,5 @@
 """Contact that matches the mesh: measured through contacts, for representations and for the measure itself."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest

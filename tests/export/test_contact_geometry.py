@@ -1,7 +1,5 @@
 """What collision geometry is made from: columns, planes, outlines, solids."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import trimesh

@@ -1,7 +1,5 @@
 """The measure of collision geometry: exact touches, signs, holes, and what is inside."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The floor: whole beside pits, and what hangs above it with no top of its own."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

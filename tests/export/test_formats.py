@@ -1,7 +1,5 @@
 """Every format is read back with what its users read it with, and holds the same geometry."""
 
-from __future__ import annotations
-
 import ctypes
 import ctypes.util
 import importlib.util

@@ -1,7 +1,5 @@
 """The ground of a mesh: its own floor, else its lowest point; what a wrong one hides is counted."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

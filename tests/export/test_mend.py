@@ -1,7 +1,5 @@
 """Any mesh from anywhere: mended with a note, or refused with a message."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Clutter: surfaces of very many planes must not cost memory by the plane."""
 
-from __future__ import annotations
-
 import tracemalloc
 
 import numpy as np

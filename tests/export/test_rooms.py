@@ -1,7 +1,5 @@
 """Rooms: walls with one side, and what has air below it."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from functools import cache

@@ -1,7 +1,5 @@
 """A scene on disk holds what stands on it, and nothing in it depends on where or when it was written."""
 
-from __future__ import annotations
-
 import errno
 import io
 import os

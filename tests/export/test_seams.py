@@ -1,7 +1,5 @@
 """Neighbouring parts reach into each other: what lands on a seam comes up again."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest

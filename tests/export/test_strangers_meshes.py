@@ -1,7 +1,5 @@
 """Meshes as strangers have them: the same scene as of the clean file, or a sentence that says why not."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Models whose right answers are the ray-cast room, and what a run of them must give."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A small textured room, ray-cast by numpy: frames with exact poses and depth for the tests of this package."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The RGB-only baseline on the ray-cast room: poses up to scale, points on the surfaces that they were seen on."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 

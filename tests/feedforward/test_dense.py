@@ -1,7 +1,5 @@
 """Dense captures: few views are adjusted together, the others follow and are as good."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

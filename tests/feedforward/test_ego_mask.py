@@ -1,7 +1,5 @@
 """What moves with the camera is found, left out and said; nothing else is."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Poses from frames alone, on a ray-cast room whose truth is known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A rendered Kinect: colour that is not registered to depth is found out, and refined poses never lose to the given."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

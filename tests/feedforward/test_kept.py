@@ -1,7 +1,5 @@
 """Views are kept while all of them fit into the budget, and nobody can change them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The learned matcher on pictures whose truth is known, and what poses from frames make of it."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from dataclasses import replace

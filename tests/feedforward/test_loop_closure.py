@@ -1,7 +1,5 @@
 """Loops: several independent links within the chain's drift are believed, likenesses are not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

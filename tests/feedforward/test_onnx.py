@@ -1,7 +1,5 @@
 """Models through the one contract: generated files whose right answers are known, in every variant."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """What is wrong with a model is said: the file, what was expected, what was found, what to do. Never a traceback."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """Laws of the pose graph and of the adjustment of poses and points."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

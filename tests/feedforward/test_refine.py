@@ -1,7 +1,5 @@
 """Refinement of given poses and recovery of the depth gain, on a small textured room with known truth."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import replace
 

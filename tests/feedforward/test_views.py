@@ -1,7 +1,5 @@
 """Views from sensor depth: geometry, masks, confidence, colour on the depth grid."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

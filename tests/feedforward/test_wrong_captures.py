@@ -1,7 +1,5 @@
 """Captures that are wrong as a whole: none may end in a scene without a word."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable
 from pathlib import Path

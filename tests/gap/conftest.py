@@ -1,7 +1,5 @@
 """Cases that the tests make themselves, each once a session."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Cases made of logs of real robots: a torque-driven pendulum, a quadruped's legs in the air, a hobby servo as CSV."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

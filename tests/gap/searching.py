@@ -1,7 +1,5 @@
 """A search of causes set up on a case, and logs that the library's own simulator writes."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace

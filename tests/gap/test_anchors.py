@@ -1,7 +1,5 @@
 """Replays that would run away go on from states of the log; all others are as they were."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

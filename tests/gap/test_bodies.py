@@ -1,7 +1,5 @@
 """Bodies without joints: what flies as a whole is diagnosed from its pose."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A diagnosis in a dozen lines: cause, size, evidence, what to do."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

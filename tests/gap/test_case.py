@@ -1,7 +1,5 @@
 """Bad logs are refused with the reason, or mended and said."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable

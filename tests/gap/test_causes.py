@@ -1,7 +1,5 @@
 """The search over sets of causes: its score, its moves, and what it may look at."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

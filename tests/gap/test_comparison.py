@@ -1,7 +1,5 @@
 """Weights of a comparison: white noise counts sample by sample, slow structure by how long it is correlated."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What is said rests on the fitted runs; the run that is held out is only checked."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace

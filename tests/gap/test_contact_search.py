@@ -1,7 +1,5 @@
 """The search where feet slip and land: slopes say little, the misfit is jagged, small deviations imitate a cause."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 

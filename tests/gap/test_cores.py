@@ -1,7 +1,5 @@
 """Simulations on several cores: the same answers in the same order, on one core or on more."""
 
-from __future__ import annotations
-
 import threading
 from dataclasses import replace
 

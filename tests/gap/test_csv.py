@@ -1,7 +1,5 @@
 """CSV runs say the same as npz runs, in any units, and damage is named with the closest names."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Cells that hold lists, as pandas and ROS exporters write them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A user's own sizes of everyday deviations take the place of the library's, in the unit that is reported."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """One log and one policy: every part is answered, or says why it could not be."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

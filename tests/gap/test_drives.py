@@ -1,7 +1,5 @@
 """Drives beyond the plain position servo: gears, limits of the joint itself, velocity servos."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Laws that every effect of the library keeps, and the check that matters: found where injected, absent where not."""
 
-from __future__ import annotations
-
 import ast
 import json
 import os

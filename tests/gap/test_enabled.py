@@ -1,7 +1,5 @@
 """Drives that are switched off: said by `enabled`, or by commands that are missing for long."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import mujoco

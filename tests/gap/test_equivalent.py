@@ -1,7 +1,5 @@
 """Rivals that the diagnosis knows of without looking: laws that contain each other, and effects that are one thing."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

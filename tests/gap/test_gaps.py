@@ -1,7 +1,5 @@
 """A gap in a recording breaks a run: nothing is predicted across it, and no command is held across it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Health: mistakes in units, order and sign are refused with what to write; the rest is measured and said."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Noise is read off the finite samples of a column, whatever the log's rate; full columns as ever."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

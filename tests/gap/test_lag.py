@@ -1,7 +1,5 @@
 """Actuators whose force follows their command with a lag: rotors, slow loops, filters of set-points."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

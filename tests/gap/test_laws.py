@@ -1,7 +1,5 @@
 """Laws of the parts: held commands, rotations, linear algebra of the screen, patches."""
 
-from __future__ import annotations
-
 import json
 
 import mujoco

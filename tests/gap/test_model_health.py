@@ -1,7 +1,5 @@
 """Models that cannot be compared with their robot end the run with what to mend; a good log raises no false alarm."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Derivatives of a log."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Effects that real robots need: gains far off, a torque that goes with the position, friction of every joint."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A push that comes at a moment of its own in each run."""
 
-from __future__ import annotations
-
 import pytest
 
 from realsim.gap import DiagnoseConfig, diagnose, load_case

@@ -1,7 +1,5 @@
 """Joints that no drive of their own moves rub, too: a pole on a cart, fingers that a tendon moves."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

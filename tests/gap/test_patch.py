@@ -1,7 +1,5 @@
 """A patch makes, in a plain spec and in model.xml, the simulator that was fitted; what it cannot hold, it says."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterator
 from pathlib import Path

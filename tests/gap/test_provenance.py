@@ -1,7 +1,5 @@
 """An answer says which engine and settings gave it."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """Logs of real robots are read, examined and localised without a false refusal; spoiled, they are refused."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Every effect that a log can show is found again where the library's own simulator put it, and absent where not."""
 
-from __future__ import annotations
-
 from importlib import import_module
 from pkgutil import iter_modules
 

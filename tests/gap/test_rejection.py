@@ -1,7 +1,5 @@
 """Rejected when absent: no effect of the library is taken for a cause where there is none, or beside the true one."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 

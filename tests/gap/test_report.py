@@ -1,7 +1,5 @@
 """The report of a diagnosis stands alone, says what was found, and leaves out what it cannot show with a reason."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import replace

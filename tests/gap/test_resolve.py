@@ -1,7 +1,5 @@
 """What MuJoCo's compiler works out by itself neither undoes an edit nor changes with it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A case from a model, and the health of a log alone."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The searches of the diagnosis: windows of time, slopes, and what unseen runs say of the outcome."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The sentence says what is missing, how sure that is, and what to do."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Runs with a known mass or another known gain are pooled with the others."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

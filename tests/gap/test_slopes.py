@@ -1,7 +1,5 @@
 """The linear picture of a log: centres of small deviations, slopes beside a cause, a law inside a richer one."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

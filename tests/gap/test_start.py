@@ -1,7 +1,5 @@
 """How runs begin: at rest they are simulated from rest, whatever the sensors say; in motion, from the logged state."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

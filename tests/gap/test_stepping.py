@@ -1,7 +1,5 @@
 """Laws of the roll-outs that change the model as it moves."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import mujoco

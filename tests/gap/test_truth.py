@@ -1,7 +1,5 @@
 """Every law does what the truth generator does: with the true values, the simulator shows what the robot showed."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The verdict follows from what stays in the fitted runs and from a check that no fit has seen."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Where the gap lies: states from logs, short predictions, equations of motion, bins that stand out."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Small made-up robots whose gap is known: a servo loop of its own, a finer time step (1 ms), nuisances always on."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Many items through every executor: one code path, no failure stops the others, nothing is done twice."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

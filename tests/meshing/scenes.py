@@ -1,7 +1,5 @@
 """Analytic scenes: boxes and spheres on a floor, seen by ideal cameras with noise. Simulation frame = capture world."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

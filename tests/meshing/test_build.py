@@ -1,7 +1,5 @@
 """The surface of analytic scenes: accurate, sharp, open where it is open, the same every time."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """A mesh is cut exactly at the bounds, however large its triangles."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

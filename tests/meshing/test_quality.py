@@ -1,7 +1,5 @@
 """The checks fire on meshes made wrong by hand, and stay quiet on sound ones."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """Finished scans: cropped, welded, oriented meshes; clouds with and without normals."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

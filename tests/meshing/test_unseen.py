@@ -1,7 +1,5 @@
 """What no camera saw, and from where it would come into view."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Depth and poses by the matches: right where they are, for any order of views and any unit, no more than told."""
 
-from __future__ import annotations
-
 import torch
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st

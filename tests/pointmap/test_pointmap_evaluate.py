@@ -1,7 +1,5 @@
 """The evaluation: rows for every kind and input, and a truth of captures that their own sensor confirms."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Laws of the network and of its loss: order of views, scale, choice of frame."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """Poses from matches: exact where the matches are, and of the views in any order."""
 
-from __future__ import annotations
-
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st

@@ -1,7 +1,5 @@
 """Generated scenes: rays hit what stands there, all views show one world, and a seed is a batch."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Training of a tiny network: it learns, goes on where it stopped, shares the work; its file is what realsim reads."""
 
-from __future__ import annotations
-
 import json
 import os
 import socket

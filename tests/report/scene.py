@@ -1,7 +1,5 @@
 """A small reconstruction made by hand: two platforms on a floor, three views, a compiled scene."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The building blocks of reports: numbers, plots, pictures, the packed 3D view, collision triangles."""
 
-from __future__ import annotations
-
 import base64
 import json
 import re

@@ -1,7 +1,5 @@
 """The page of `realsim contact`: verdict, figures, both surfaces, and nothing from elsewhere."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

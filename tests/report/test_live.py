@@ -1,7 +1,5 @@
 """The live viewer starts, serves a page, and stops."""
 
-from __future__ import annotations
-
 import socket
 import urllib.error
 import urllib.request

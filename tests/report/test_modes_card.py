@@ -1,7 +1,5 @@
 """The comparison of sources of points: in the page and in report.json when it was asked for, absent otherwise."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

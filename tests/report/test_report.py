@@ -1,7 +1,5 @@
 """report.json has what was promised, report.html stands alone, and the verdict follows its stated rules."""
 
-from __future__ import annotations
-
 import base64
 import json
 import re

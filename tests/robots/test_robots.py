@@ -1,7 +1,5 @@
 """Robots are what their tables say, once compiled."""
 
-from __future__ import annotations
-
 import re
 import sys
 

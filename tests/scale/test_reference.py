@@ -1,7 +1,5 @@
 """A tag, a sheet or a measured length in view set the scale: rendered frames whose depth is off by a known factor."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

@@ -1,7 +1,5 @@
 """Laws of the metric scale: equivariance, robustness, coverage of its interval, and when it is refused."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Synthetic captures: closed solids, depth as geometry has it, noise as the model has it, stable bytes."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

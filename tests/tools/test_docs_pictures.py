@@ -1,7 +1,5 @@
 """The tutorials tell the commands that their pictures were made with, and every picture is there and small."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,8 +1,6 @@
 """Exporters on small stand-ins with the interfaces of the published models: what they write fits the contract, and a
 graph that says something else than torch is not delivered. The published weights themselves are not here."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The files of the learned matcher: how their weights are halved, and what the wheel's own code says to them."""
 
-from __future__ import annotations
-
 from importlib.resources import files
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Samples are fetched from where they are said to be, checked, and read by the tests; here from a folder."""
 
-from __future__ import annotations
-
 import hashlib
 import re
 from pathlib import Path

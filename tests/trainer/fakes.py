@@ -1,7 +1,5 @@
 """Doubles for unit tests of the task: an engine that holds whatever state a test writes, rays against boxes."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 

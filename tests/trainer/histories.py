@@ -1,7 +1,5 @@
 """Folders of training runs as the trainer writes them, with curves that are known."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable, Iterable, Mapping

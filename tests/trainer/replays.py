@@ -4,8 +4,6 @@ What a capture cannot hold is refused: waiting for the device, shapes that depen
 it would freeze (numbers of Python, tensors that are replaced) is frozen here too, and gives other results.
 """
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 import torch

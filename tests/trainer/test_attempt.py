@@ -3,8 +3,6 @@
 The engine is a double that moves bodies as told: no gait costs anything, so that the balance is that of the task.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

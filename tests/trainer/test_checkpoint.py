@@ -1,7 +1,5 @@
 """Policies on disk: whole, readable without running code, and refused with a reason."""
 
-from __future__ import annotations
-
 import io
 import json
 import pickle

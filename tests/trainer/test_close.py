@@ -1,7 +1,5 @@
 """The log of a deployment, and the loop that begins with it, at toy size on the quadruped that ships."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The commands, end to end on the quadruped: pretrain, fine-tune, evaluate, deploy."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

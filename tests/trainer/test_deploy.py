@@ -1,7 +1,5 @@
 """The loop on the robot: the same numbers as in training, on time, and stopped when something is wrong."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Two gloo ranks are one rank with twice the worlds."""
 
-from __future__ import annotations
-
 import math
 import os
 import socket

@@ -1,7 +1,5 @@
 """The optional parts: style prior and symmetry."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Every length, type and name of an exported policy is checked before a robot moves."""
 
-from __future__ import annotations
-
 import copy
 import json
 from dataclasses import asdict

@@ -1,7 +1,5 @@
 """The CPU engine against plain MuJoCo, and what it must notice."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import mujoco

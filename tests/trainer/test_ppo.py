@@ -1,7 +1,5 @@
 """Laws of the learner: hand-computed returns, exact resume, learning a small task."""
 
-from __future__ import annotations
-
 import math
 import time
 from dataclasses import replace

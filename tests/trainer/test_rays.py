@@ -1,7 +1,5 @@
 """The two casters give the same images, and both the analytic ones."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """A course that is rendered is the course: the same surfaces at the same places."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`realsim training report` from the command line, on a run of the trainer itself."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What is read of a run's folder, and what is said where it cannot be read."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The page: whatever the histories hold, it is well formed, complete without a network, and says what is missing."""
 
-from __future__ import annotations
-
 import json
 import re
 import tempfile

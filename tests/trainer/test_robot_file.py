@@ -1,7 +1,5 @@
 """A robot of one's own, from its model to one that is simulated: what models bring that ours do not have."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import mujoco

@@ -1,7 +1,5 @@
 """What the task needs to know of a robot agrees with the compiled robot. Run over the registry."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """rsl_rl behind the hook: one update of its PPO is one of ours."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from importlib.util import find_spec
 

@@ -1,7 +1,5 @@
 """The state of a base's training, kept without the weights that ship."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Every strategy computes what its base computes at the start, and trains only what is its own."""
 
-from __future__ import annotations
-
 import copy
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The hook for learners, and the reference motion."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

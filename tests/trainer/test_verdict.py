@@ -1,7 +1,5 @@
 """Never worse than the base: the test, what is delivered, and a training that goes back to its best policy."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

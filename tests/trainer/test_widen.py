@@ -1,7 +1,5 @@
 """The same course with wider tops: no point of it lies lower, and its tops are as high as before."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest

@@ -3,8 +3,6 @@
 The goal lies left or right; only the depth image says where. Pushing the mass to it pays.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import torch

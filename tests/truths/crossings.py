@@ -4,8 +4,6 @@ The true terrain differs from the scanned one by what is asked for and, as every
 robot, its sensors and the estimate of its base err as real ones do. Nothing here uses `realsim.gap`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any

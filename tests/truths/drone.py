@@ -1,7 +1,5 @@
 """A made quadrotor whose controller alone holds it up."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import mujoco

@@ -1,7 +1,5 @@
 """Small rooms as a camera leaves them: walls with one side, furniture without undersides. Metres, floor at 0."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -4,8 +4,6 @@ A signed distance field of boxes of air and of things in them, blurred by noise 
 marching cubes; then blobs of it and all undersides lower than a table are taken out. Everything follows from a seed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 
 import numpy as np

@@ -5,8 +5,6 @@ nothing is predicted: it proves the path from a file to a scene, with answers (a
 a real model would say about other pictures cannot be had from it. Needs the package onnx.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

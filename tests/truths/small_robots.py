@@ -1,7 +1,5 @@
 """Small robots as MJCF: machines of few joints, each with drives of its own kind."""
 
-from __future__ import annotations
-
 # Feetech STS3250 with a weight on an arm; the stiffness of its loop in N m/rad is a guess.
 SERVO = """
 <mujoco>

@@ -3,8 +3,6 @@
 Every terrain has a platform of 0.8 m a side at the origin for a robot to stand on, and the floor as one open sheet.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

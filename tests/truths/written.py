@@ -1,7 +1,5 @@
 """A case of the contract as a test writes it."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What changed between two logs of one robot: found where it was injected, nothing said where nothing was."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import replace

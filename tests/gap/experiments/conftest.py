@@ -1,7 +1,5 @@
 """One short log of a pendulum, its rivals as a diagnosis names them, and experiments on it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from pathlib import Path
 

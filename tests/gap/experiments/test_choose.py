@@ -1,7 +1,5 @@
 """The choice: what separates is preferred, what is the same is said to be, what leaves the limits is refused."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Every excitation of the library stays in the commands' range, begins at rest, and lasts as long as the others."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """From an ambiguous diagnosis to command files, and from recordings back into a diagnosis."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

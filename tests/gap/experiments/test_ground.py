@@ -1,7 +1,5 @@
 """Excitations of a robot that stands on the ground: balance is checked, and the base may begin elsewhere."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The robots' runs, driven once a session."""
 
-from __future__ import annotations
-
 import pytest
 
 from .robots import ARM, QUADRUPED, Log, drive

@@ -1,7 +1,5 @@
 """Two small robots driven in MuJoCo, and what their drivers would log."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Bad input ends in a message that names the file, and leaves nothing behind."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

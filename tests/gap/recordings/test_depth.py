@@ -1,7 +1,5 @@
 """Depth frames of a recording stand in the case beside their run, and say of the camera what those of the robot do."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Tables as strangers write them: clocks, languages, units, orders, files; each with its right value."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Logs of a Crazyflie's micro-SD deck, and bodies without joints."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """One run through every format: what is read back is what was driven, in the model's order, units and signs."""
 
-from __future__ import annotations
-
 import json
 import sqlite3
 from collections.abc import Callable

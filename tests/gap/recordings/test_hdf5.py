@@ -1,7 +1,5 @@
 """HDF5 and MATLAB files: what robot learning and laboratories write, and what leads out of the file."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Orders, units, signs and clocks are told by signals and model; what cannot be told is said to be in doubt."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

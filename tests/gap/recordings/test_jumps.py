@@ -1,7 +1,5 @@
 """A clock that jumps is found, said, and ends a run; messages that wait do not."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Base poses of a log in the world of a capture are put into the frame of its scene."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Recordings in the formats that robots' tools write, by the formats' own libraries."""
 
-from __future__ import annotations
-
 import json
 import sqlite3
 import struct

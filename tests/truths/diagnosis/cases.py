@@ -1,7 +1,5 @@
 """Draws cases by stratum, and writes logs in the contract's form here and labels elsewhere."""
 
-from __future__ import annotations
-
 import copy
 import itertools
 import json

@@ -5,8 +5,6 @@ A label follows the contract: `effect`, where it acts (`joints` / `bodies`), `pa
 `strength` in 0..1 runs from hardly visible to gross, log-uniform in the parameter.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

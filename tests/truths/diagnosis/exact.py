@@ -1,7 +1,5 @@
 """One cause on a robot without everyday deviations and with exact sensors: what a simulated law is held against."""
 
-from __future__ import annotations
-
 from functools import cache
 from pathlib import Path
 

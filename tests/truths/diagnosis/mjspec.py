@@ -1,7 +1,5 @@
 """Joint coefficients, which newer MuJoCo holds as a polynomial whose first term is the linear one."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 

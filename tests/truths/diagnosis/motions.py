@@ -1,7 +1,5 @@
 """Commands that a careful operator records: sweeps, steps, slow and fast, and for legs sway and stepping in place."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tests.truths.diagnosis.robots import Robot

@@ -5,8 +5,6 @@ bristle law (Canudas de Wit et al. 1995, "A new model for control of systems wit
 gear by a second mass behind the motor, delays in continuous time.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Nominal robots: what the operator believes. Sizes and gains differ from case to case: nothing can be learnt by heart."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import mujoco

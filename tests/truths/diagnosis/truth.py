@@ -1,7 +1,5 @@
 """Everything that the true robot may do otherwise than its model, as plain numbers a joint or a body."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

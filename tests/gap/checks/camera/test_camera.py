@@ -1,7 +1,5 @@
 """Depth frames against the scene: what was done to the camera is found, and nothing where nothing was done."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`realsim diagnose --policy --check`: the policy's answer alone, on a case in files."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

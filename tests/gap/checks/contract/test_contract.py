@@ -1,7 +1,5 @@
 """A policy that is run wrongly is distinguished from one that is run rightly, and its mistakes are named."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Callable

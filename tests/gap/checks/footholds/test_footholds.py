@@ -1,7 +1,5 @@
 """Footholds: what a stake was changed by is found, and nothing is named where nothing was changed."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
