@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import realsim.synth.capture  # noqa: F401  (its annotations name a class that is patched below)
 from realsim import pipeline
 from realsim.cli.command_line import main
 from realsim.core.errors import RealsimError
