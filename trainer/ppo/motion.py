@@ -15,7 +15,7 @@ from torch import Tensor
 from realsim.core.types import F64
 from trainer.errors import TrainerError
 from trainer.robots import TrainedRobot
-from trainer.tasks.parkour.amp import pose
+from trainer.tasks.parkour.observations import pose
 
 SPEEDS = (0.3, 0.45, 0.6, 0.75)
 """m/s of the gaits."""
@@ -40,7 +40,7 @@ WALK = Gait(0.7, 0.6, 0.08, 0.03)
 
 
 def reference(robot: TrainedRobot, policy_dt: float, speeds: tuple[float, ...] = SPEEDS) -> Tensor:
-    """(K, S) transition features of the robot's gait at these speeds, as `trainer.tasks.parkour.amp` makes them.
+    """(K, S) transition features of the robot's gait at these speeds, as `parkour.observations` makes them.
 
     Raises:
         TrainerError: the legs cannot reach what the gait asks for.

@@ -14,7 +14,6 @@ from trainer.graphs import Graph, places, room
 from trainer.physics import Physics, State
 from trainer.rays import RayCaster
 from trainer.tasks.base import Observation, Step
-from trainer.tasks.parkour.amp import Transitions
 from trainer.tasks.parkour.body import Body
 from trainer.tasks.parkour.commands import GoalCommand
 from trainer.tasks.parkour.config import ParkourConfig
@@ -22,11 +21,10 @@ from trainer.tasks.parkour.curriculum import Curriculum
 from trainer.tasks.parkour.depth import DepthCamera, DepthWindow
 from trainer.tasks.parkour.draw import Dice, randint
 from trainer.tasks.parkour.footholds import FootholdProbe
-from trainer.tasks.parkour.observations import Proprioception, critic_view, layout
+from trainer.tasks.parkour.observations import HeightScan, Proprioception, Transitions, critic_view, layout
 from trainer.tasks.parkour.randomise import Known, Line, Randomiser
 from trainer.tasks.parkour.resets import Course, Stances, poses
 from trainer.tasks.parkour.rewards import SLOW, WALKING, Rewards
-from trainer.tasks.parkour.scan import HeightScan
 from trainer.tasks.parkour.signals import PhaseClock, Signals, derive, sole_points
 from trainer.tasks.parkour.symmetry import Mirror
 from trainer.tasks.parkour.tally import Tally

@@ -7,17 +7,26 @@ The critic's is the same step's truth without noise, and what no sensor of the r
 import torch
 from torch import Tensor
 
+from trainer.physics import State
+from trainer.rays import RayCaster, fall
 from trainer.robots import TrainedRobot
 from trainer.tasks.base import ObservationLayout
 from trainer.tasks.parkour.body import Body
 from trainer.tasks.parkour.config import ObservationConfig
 from trainer.tasks.parkour.draw import symmetric
 from trainer.tasks.parkour.signals import Signals
+from trainer.tasks.rotations import heading_of
 
 STEERED = "steering_command"
 """Name of the command of `ObservationConfig.steered` in layouts: no other is taken for it."""
 SCAN = (17, 11)
 """Points of the critic's height scan ahead and across, 10 cm apart."""
+SPACING = 0.1
+"""Metres between them."""
+BEHIND = 0.4
+"""Metres behind the base at which the grid begins."""
+LARGEST = 0.5
+"""Metres above or below the soles at which heights saturate."""
 FAR_GOAL = 10.0
 """Metres at which the critic's goal vector saturates."""
 
@@ -122,3 +131,66 @@ class Proprioception:
             dq = dq + symmetric(c.joint_vel, tuple(dq.shape), generator)
         # A world that has diverged is reset at this very step; until then it must not poison a normaliser.
         return torch.cat([gyro, gravity, command, q, dq, action], -1).nan_to_num(0.0, 0.0, 0.0)
+
+
+class HeightScan:
+    """The critic's view of the terrain around the base, as no sensor of the robot has it: heights on a grid in the
+    heading frame, by rays straight down."""
+
+    def __init__(self, caster: RayCaster, standing_height: float, device: torch.device) -> None:
+        ahead = torch.arange(SCAN[0], device=device) * SPACING - BEHIND
+        left = (torch.arange(SCAN[1], device=device) - (SCAN[1] - 1) / 2) * SPACING
+        self.points = torch.stack(torch.meshgrid(ahead, left, indexing="ij"), -1).reshape(-1, 2)
+        """(S, 2) m, row by row from behind, each from right to left."""
+        self.caster, self.standing_height = caster, standing_height
+
+    def __call__(self, state: State, terrain_ids: Tensor) -> Tensor:
+        """(N, S) m of the terrain over where the soles of a standing robot would be, within +-`LARGEST`."""
+        c, s = heading_of(state.base_quat).unbind(-1)
+        x, y = self.points.unbind(-1)
+        level = torch.stack([c[:, None] * x - s[:, None] * y, s[:, None] * x + c[:, None] * y], -1)
+        origins = torch.cat([level, torch.zeros_like(level[..., :1])], -1) + state.base_pos[:, None]
+        below = fall(self.caster, origins, terrain_ids, self.standing_height + LARGEST)
+        return (self.standing_height - below).clamp(-LARGEST, LARGEST)
+
+
+def mirrored() -> tuple[int, ...]:
+    """Index of the point that each point of the grid has for its image in the mirror."""
+    rows, columns = SCAN
+    return tuple(i * columns + (columns - 1 - j) for i in range(rows) for j in range(columns))
+
+
+def pose(
+    gravity: Tensor, lin_vel: Tensor, ang_vel: Tensor, joint_pos: Tensor, joint_vel: Tensor, feet: Tensor
+) -> Tensor:
+    """(N, S/2) features of one pose for the motion discriminator, independent of position and heading.
+
+    Args:
+        gravity, lin_vel, ang_vel: (N, 3) base axes. joint_pos: (N, J) minus the default pose. joint_vel: (N, J).
+        feet: (N, F, 3) from the base, in the base's heading frame.
+    """
+    return torch.cat([gravity, lin_vel, ang_vel, joint_pos, joint_vel, feet.flatten(1)], -1)
+
+
+def of_signals(s: Signals, body: Body) -> Tensor:
+    """The features of a step."""
+    q = s.state.joint_pos - body.default
+    return pose(s.gravity, s.lin_vel, s.ang_vel, q, s.state.joint_vel, s.foot_offset).nan_to_num(0.0, 0.0, 0.0)
+
+
+class Transitions:
+    """Pairs of successive poses; a reset begins anew, so no pair spans two episodes."""
+
+    def __init__(self, worlds: int, joints: int, feet: int, device: torch.device) -> None:
+        self.last = torch.zeros(worlds, 9 + 2 * joints + 3 * feet, device=device)
+
+    def advance(self, s: Signals, body: Body) -> Tensor:
+        """(N, S) from the pose before to this one."""
+        now = of_signals(s, body)
+        pair = torch.cat([self.last, now], -1)
+        self.last.copy_(now)
+        return pair
+
+    def restart(self, ids: Tensor, s: Signals, body: Body) -> None:
+        """Worlds `ids` are in a new pose; `s` has their rows only."""
+        self.last.index_copy_(0, ids, of_signals(s, body))

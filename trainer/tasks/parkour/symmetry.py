@@ -5,8 +5,7 @@ from torch import Tensor
 
 from trainer.robots import TrainedRobot
 from trainer.tasks.base import Observation
-from trainer.tasks.parkour.observations import privileged, proprioception
-from trainer.tasks.parkour.scan import mirrored
+from trainer.tasks.parkour.observations import mirrored, privileged, proprioception
 
 _POLAR = (1.0, -1.0, 1.0)
 _AXIAL = (-1.0, 1.0, -1.0)
