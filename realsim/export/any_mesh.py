@@ -6,17 +6,22 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from realsim.core.contact_limits import shares
 from realsim.core.errors import ExportError
 from realsim.core.files import file_digests, to_json, write_bytes, write_text
+from realsim.core.geometry import error_grid
 from realsim.core.progress import note
-from realsim.core.types import SceneFiles
+from realsim.core.types import F64, SceneFiles
 from realsim.export.config import SceneConfig
-from realsim.export.contact.heatmap import heatmap_png
 from realsim.export.contact.shape import Solids
 from realsim.export.ground import DEEP, GroundLevel, ground_level, hidden_cm2
 from realsim.export.mend import read_mesh
 from realsim.export.scene import write_terrain
+
+LIMIT = 0.015  # metres at which a colour is full
+NONE, AGREE, PHANTOM, MISSING = (235, 235, 235), (247, 247, 247), (178, 24, 43), (33, 102, 172)  # RGB
 
 
 def contact_mesh(
@@ -121,3 +126,16 @@ def contact_verdict(contact: Mapping[str, Any], tolerance: tuple[float, float]) 
 
 
 GOOD = "The contact geometry meets every limit."
+
+
+def heatmap_png(contact_map: F64, pixels: int = 6) -> bytes:
+    """PNG of (N, 3) x, y, signed error in metres: red where MuJoCo touches what is not there, blue
+    where it lacks what is there, white where both agree, full colour at 15 mm. x to the right, y up."""
+    import cv2
+
+    error = error_grid(contact_map)[..., None]
+    strength = np.clip(np.abs(error) / LIMIT, 0, 1)
+    color = np.array(AGREE) * (1 - strength) + np.where(error > 0, PHANTOM, MISSING) * strength
+    image = np.where(np.isnan(error), NONE, np.rint(color)).astype(np.uint8)[..., ::-1]  # OpenCV wants blue first
+    _, data = cv2.imencode(".png", image.repeat(pixels, 0).repeat(pixels, 1))
+    return data.tobytes()

@@ -8,13 +8,13 @@ import trimesh
 from realsim.core.errors import UnknownNameError
 from realsim.core.types import MeshQuality, TerrainMesh
 from realsim.export import CONTACT
+from realsim.export.any_mesh import heatmap_png
 from realsim.export.config import SceneConfig
 from realsim.export.contact import cost
 from realsim.export.contact.base import ContactModel, Geom, floor_plane
 from realsim.export.contact.boxes import boxes
 from realsim.export.contact.choose import fit_contact
 from realsim.export.contact.fidelity import Fidelity
-from realsim.export.contact.heatmap import heatmap_png
 from realsim.export.contact.probe import BALL, SimTouch, first_touch, spec_of
 from realsim.export.contact.shape import Shape
 from tests.export.measured import CONFIG, FACING_UP, fidelity
