@@ -15,9 +15,10 @@ AREA = 1.6
 EDGEWISE = np.log(1000)
 """Of that ratio: a sheet has nothing to stand on when it is looked at along its edge."""
 FLOOR = 1.0
-"""For a floor: level surface, facing up, in the lowest fifth of the height, over half of the plan."""
+"""For a floor: level surface, facing up, over half of the plan, within a fifth of the height above the lowest such."""
 BASE = 1.5
-"""For a mesh whose numbers begin at 0 along one axis and not along the other: modellers stand things on zero."""
+"""For a mesh whose numbers begin at 0 along one axis and not along the other: modellers stand things on zero. Not where
+they do along x too: that is the corner of a plan, as grids have it."""
 HABIT = 0.75
 """For z in STL, PLY, OBJ and OFF (most have it so, and phones and Blender write y); twice as much for y in GLB."""
 CLEAR = 0.9
@@ -73,11 +74,14 @@ def find_up(vertices: F64, triangles: NDArray[np.int64], suffix: str) -> Up:
         z, y = turned_z, turned_y
     ratio = float(np.log((z.area + 1e-9) / (y.area + 1e-9)))
     evidence = habit + (ratio if abs(ratio) > EDGEWISE else float(np.clip(ratio, -AREA, AREA)))
-    evidence += FLOOR * (int(z.floor) - int(y.floor)) + BASE * (int(z.base) - int(y.base))
+    evidence += FLOOR * (int(z.floor) - int(y.floor))
+    low = corners.min((0, 1))
+    zero_x, zero_y, zero_z = (np.abs(low) < 1e-3 * np.ptp(corners, (0, 1)).max()).tolist()
+    evidence += BASE * (zero_z - zero_y) * (not zero_x)
     axis = "z" if evidence > 0 else "y"
     areas = f"{float(f'{z.area:.2g}'):g} m2 face up along z, {float(f'{y.area:.2g}'):g} m2 along y"
     if abs(evidence) < CLEAR:
-        return Up(usual, f"z or y may point up ({areas}); {usual} was taken: pass --up z or --up y.")
+        return Up(axis, f"z or y may point up ({areas}); {axis} was taken: pass --up z or --up y.")
     if axis == "z" and usual == "z":
         return Up("z")
     other = "z" if axis == "y" else "y"
@@ -91,21 +95,18 @@ class _FacingUp:
     area: float
     """m^2 on which one could walk; within another solid nobody can."""
     floor: bool
-    base: bool
 
 
 def _facing_up(corners: F64, cross: F64, axis: int, solids: Rays | None) -> _FacingUp:
     area = np.linalg.norm(cross, axis=1)
     up = cross[:, axis] > WALKABLE * np.maximum(area, 1e-30)
     heights = corners[:, :, axis]
-    low, high = float(heights.min()), float(heights.max())
+    lowest = heights[up].min(initial=heights.max())
     plan = np.delete(corners, axis, 2).reshape(-1, 2)
     footprint = float(np.ptp(plan, axis=0).prod())
-    at_bottom = up & (heights.max(1) < low + 0.2 * (high - low) + 1e-6)
-    size = float(np.ptp(corners.reshape(-1, 3), axis=0).max())
-    base = abs(low) < 1e-3 * size
+    at_bottom = up & (heights.max(1) < lowest + 0.2 * np.ptp(heights) + 1e-6)
     free = 1.0 if solids is None else _outside(corners, cross, np.where(up, area, 0.0), solids)
-    return _FacingUp(free * float(area[up].sum()), bool(area[at_bottom].sum() > 0.5 * footprint), base)
+    return _FacingUp(free * float(area[up].sum()), bool(area[at_bottom].sum() > 0.5 * footprint))
 
 
 def _outside(corners: F64, cross: F64, weights: F64, solids: Rays) -> float:

@@ -146,6 +146,33 @@ def test_up_is_found_whatever_the_format(tmp_path: Path, suffix: str) -> None:
             )
 
 
+def test_a_floor_is_the_top_of_its_slab(tmp_path: Path) -> None:
+    """Low things on a slab half as thick as all, y up and about the origin, as Blender writes them."""
+    slab = ((0, 0, -0.1), (7, 4, 0.2))
+    mesh = put_together(slab, *(((x, 0.0, h / 2), (0.8, 0.8, h)) for x, h in ((-2, 0.1), (0, 0.15), (2, 0.2))))
+    x, y, z = np.asarray(mesh.vertices).T
+    trimesh.Trimesh(np.column_stack([x, z, -y]), mesh.faces, process=False).export(tmp_path / "a.obj")
+    assert (read_mesh(tmp_path / "a.obj").up.axis, read_mesh(tmp_path / "a.obj").up.question) == ("y", None)
+
+
+def test_a_grid_from_a_corner_at_the_origin_does_not_stand_on_y(tmp_path: Path) -> None:
+    mesh = sheet(lambda x, y: 0.1 * np.sin(2 * x) * np.cos(2 * y))
+    mesh.apply_translation([*-mesh.bounds[0, :2], 0])
+    mesh.export(tmp_path / "a.ply")
+    made = read_mesh(tmp_path / "a.ply")
+    assert (made.up.axis, made.up.question) == ("z", None)
+
+
+def test_where_it_asks_the_likelier_axis_is_taken(tmp_path: Path) -> None:
+    """Treads of 3 cm without a floor, about the origin: they are laid down for their area alone, and it says so."""
+    mesh = put_together(*(((0.3 * k, 0, 0.17 * k + 0.17), (0.28, 1, 0.03)) for k in range(8)))
+    x, y, z = np.asarray(mesh.vertices).T
+    trimesh.Trimesh(np.column_stack([x, z, -y]), mesh.faces, process=False).export(tmp_path / "a.obj")
+    made = read_mesh(tmp_path / "a.obj")
+    assert made.up.axis == "y"
+    assert "y was taken" in str(made.up.question)
+
+
 def test_an_open_sheet_has_no_inside_to_be_turned_out(tmp_path: Path) -> None:
     """Its volume is that of nothing: a sheet with pits was taken to be inside out, and to stand on its edge."""
     sheet(lambda x, y: np.where(np.hypot(x - 0.5, y) < 0.5, -0.5, 0.2 * (x < 0))).export(tmp_path / "pits.stl")
