@@ -11,6 +11,7 @@ from realsim.capture.config import CaptureConfig
 from realsim.capture.finishing import finish
 from realsim.capture.inspection import Inspection, inspect_frames, inspect_scan
 from realsim.capture.layout import Layout
+from realsim.capture.listing import named_for_poses
 from realsim.capture.recognition import recognise
 from realsim.core.registry import Registry
 from realsim.core.types import FrameSet, Scan
@@ -61,7 +62,13 @@ def read(path: Path, config: CaptureConfig) -> FrameSet | Scan:
 
 def _read(layout: Layout, path: Path, config: CaptureConfig) -> FrameSet | Scan:
     raw = layout.read(path, config)
-    return raw if isinstance(raw, Scan) else replace(raw, sensor_sigma=layout.sensor_sigma)
+    if isinstance(raw, Scan):
+        return raw
+    warnings = raw.warnings
+    if not (raw.has_poses or config.ignore_poses) and (names := named_for_poses(path)):
+        where = f"layout {layout.name} does not read them; docs/captures.md says where each layout has poses"
+        warnings += (f"{', '.join(names)}: are these the poses? {where}",)
+    return replace(raw, sensor_sigma=layout.sensor_sigma, warnings=warnings)
 
 
 def inspect(path: Path, config: CaptureConfig) -> Inspection:

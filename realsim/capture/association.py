@@ -36,7 +36,7 @@ def associate(a: F64, b: F64, max_difference: float) -> list[tuple[int, int]]:
     return pairs
 
 
-def interpolate_poses(times: F64, poses: F64, at: F64, max_gap: float) -> list[F64 | None]:
+def interpolate_poses(times: F64, poses: F64, at: F64, max_gap: float, beside: float = 0.0) -> list[F64 | None]:
     """Poses at other times: positions linearly, rotations along the shortest arc (slerp, Shoemake 1985).
 
     Args:
@@ -44,6 +44,7 @@ def interpolate_poses(times: F64, poses: F64, at: F64, max_gap: float) -> list[F
         poses: (N, 4, 4) rigid.
         at: (M,) seconds.
         max_gap: the two samples around a time may be at most this far apart.
+        beside: seconds; where they are farther apart, a sample so close to the time is taken as it is.
 
     Returns:
         One (4, 4) a time, or None where there are no samples close enough around it.
@@ -57,6 +58,7 @@ def interpolate_poses(times: F64, poses: F64, at: F64, max_gap: float) -> list[F
     if len(inner):
         for k, T in zip(inner, interpolated_T(times, poses, at[inner]), strict=True):
             out[k] = T
-    for k in np.flatnonzero(np.abs(times[closest] - at) <= SAME_INSTANT):
-        out[k] = poses[closest[k]].copy()
+    for i, off in enumerate(np.abs(times[closest] - at)):
+        if off <= (beside if out[i] is None else SAME_INSTANT):
+            out[i] = poses[closest[i]].copy()
     return out

@@ -75,7 +75,7 @@ def check_agreement(capture: FrameSet) -> tuple[Agreement | None, str | None]:
         return None, None
     found = agreement(capture.frames)
     if found is None:
-        return None, "poses and depth could not be compared: the frames hardly overlap"
+        return None, f"poses and depth could not be compared: {_why_apart(capture.frames)}"
     facts = f"depth agrees with the poses at {found.as_read:.0%} of the compared pixels"
     if found.better is None:
         doubtful = f"{facts}: poses or depth are doubtful, and no other convention explains it"
@@ -93,6 +93,17 @@ def check_agreement(capture: FrameSet) -> tuple[Agreement | None, str | None]:
         found=facts,
         hint="convert the poses, or pass --ignore-poses to have them estimated",
     )
+
+
+def _why_apart(frames: Sequence[Frame]) -> str:
+    """Why near frames see nothing of each other: too few images, or positions in another unit."""
+    steps = np.diff([np.asarray(frame.T_world_camera)[:3, 3] for frame in frames], axis=0)
+    step, depth = float(np.median(np.linalg.norm(steps, axis=1))), frames[len(frames) // 2].depth()
+    far = float(np.median(depth[depth > 0]))
+    if step < 10 * far:
+        return "the frames hardly overlap"
+    apart = f"neighbouring cameras are {step:.3g} m apart and see {far:.2g} m far"
+    return f"{apart}: are the positions in metres? If not, pass --no-metric-poses"
 
 
 def agreement(frames: Sequence[Frame]) -> Agreement | None:

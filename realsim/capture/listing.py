@@ -57,6 +57,12 @@ def pose_file(folder: Path, names: Sequence[str]) -> Path | None:
     return None
 
 
+def named_for_poses(folder: Path) -> list[str]:
+    """What in a folder is called poses, a trajectory, odometry or ground truth."""
+    there = os.listdir(folder) if folder.is_dir() else []
+    return sorted(name for name in there if re.search("pose|traj|odom|groundtruth", name, re.IGNORECASE))
+
+
 def first_file(folder: Path, names: Sequence[str]) -> Path | None:
     """The first of the names that is a file in the folder, or None."""
     return next((folder / name for name in names if (folder / name).is_file()), None)

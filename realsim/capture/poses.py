@@ -116,10 +116,11 @@ def read_rows(path: Path, columns: str) -> Iterator[F64]:
 
 
 def no_common_time(path: Path, images: F64, poses: F64) -> PoseError:
-    """The error of a trajectory whose times (N,) are none of the images' (M,), seconds."""
+    """The error of a trajectory none of whose times (N,) is near one of the images' (M,), seconds."""
     span = [f"poses between {t.min():.3f} and {t.max():.3f} s" for t in (images, poses)]
     hint = "fix the timestamps, or pass --ignore-poses to have the poses estimated"
-    what = "the timestamps of poses and images do not overlap"
+    apart = images.max() < poses.min() or poses.max() < images.min()
+    what = f"the timestamps of poses and images {'do not overlap' if apart else 'are too far apart'}"
     return PoseError(what, file=path, expected=span[0], found=span[1], hint=hint)
 
 

@@ -1,5 +1,7 @@
 """Trajectories that are damaged, of another length, convention or time."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,6 +14,7 @@ from .test_layouts import CONFIG, frames_of
 from .writers import (
     write_log,
     write_open3d,
+    write_plain,
     write_sevenscenes,
     write_tum,
 )
@@ -136,3 +139,41 @@ def test_poses_of_another_time_altogether(tmp_path):
     (tmp_path / "groundtruth.txt").write_text("12.5 0 0 0 0 0 0 1\n12.6 0 0 0 0 0 0 1\n")
     with pytest.raises(PoseError, match="do not overlap"):
         read(tmp_path, CONFIG)
+
+
+def test_a_pose_an_image_with_stamps_that_are_a_little_off(tmp_path):
+    """Five a second, noted 3 ms after their images: too far apart to go between, and each has its image."""
+    views = [replace(view, time=0.2 * k) for k, view in enumerate(walk(6))]
+    write_tum(tmp_path, views)
+    rows = [line.split() for line in (tmp_path / "groundtruth.txt").read_text().splitlines()[1:]]
+    lines = (f"{float(stamp) + 0.003:.3f} {' '.join(pose)}" for stamp, *pose in rows)
+    (tmp_path / "groundtruth.txt").write_text("\n".join(lines))
+    capture = read(tmp_path, CONFIG)
+    assert not capture.dropped
+    for frame, view in zip(capture.frames, views, strict=True):
+        np.testing.assert_allclose(frame.T_world_camera, view.T_world_camera, atol=1e-6)
+
+
+def test_poses_between_the_images(tmp_path):
+    write_tum(tmp_path, [replace(view, time=0.2 * k) for k, view in enumerate(walk(6))])
+    lines = (tmp_path / "groundtruth.txt").read_text().splitlines()[1:]
+    moved = (f"{float(stamp) + 0.1:.3f} {pose}" for stamp, pose in (line.split(maxsplit=1) for line in lines))
+    (tmp_path / "groundtruth.txt").write_text("\n".join(moved))
+    with pytest.raises(PoseError, match="too far apart"):
+        read(tmp_path, CONFIG)
+
+
+def test_positions_in_millimetres_are_asked_about(tmp_path):
+    write_tum(tmp_path, walk(6))
+    rows = np.loadtxt(tmp_path / "groundtruth.txt")
+    rows[:, 1:4] *= 1000
+    np.savetxt(tmp_path / "groundtruth.txt", rows, "%.9f")
+    assert any("are the positions in metres?" in warning for warning in inspect(tmp_path, CONFIG).wrong)
+
+
+def test_poses_that_a_layout_does_not_read_are_named(tmp_path):
+    write_plain(tmp_path, walk(4))
+    assert not any("poses" in warning for warning in frames_of(tmp_path).warnings)
+    (tmp_path / "camera_poses.json").write_text("{}")
+    assert any("camera_poses.json" in warning for warning in frames_of(tmp_path).warnings)
+    assert not any("camera_poses" in warning for warning in read(tmp_path, replace(CONFIG, ignore_poses=True)).warnings)

@@ -170,15 +170,20 @@ def poses_at(
     """Poses of the named frames at their times; frames without one; assumptions; warnings."""
     stamps, poses, warnings = read_trajectory(path)
     names = list(times)
-    found = interpolate_poses(stamps, poses, np.array([times[n] for n in names]), config.max_pose_gap)
+    at = np.array([times[n] for n in names])
+    # A pose an image: what its time is off by is how it was written down, as between colour and depth.
+    sparse = len(stamps) > 1 and np.median(np.diff(stamps)) > config.max_pose_gap
+    beside = config.max_time_difference if sparse else 0.0
+    found = interpolate_poses(stamps, poses, at, config.max_pose_gap, beside)
     by_name = {n: T for n, T in zip(names, found, strict=True) if T is not None}
-    reason = f"no pose in {path.name} within {config.max_pose_gap:g} s"
+    reason = f"no pose in {path.name} within {beside or config.max_pose_gap:g} s"
     late = tuple(Dropped(n, reason) for n in names if n not in by_name)
     if not by_name:
-        raise no_common_time(path, np.array(list(times.values())), stamps)
+        raise no_common_time(path, at, stamps)
+    between = f"interpolated at the colour image's time between samples at most {config.max_pose_gap:g} s apart"
     notes = [
         "poses are camera to world in metres, OpenCV camera axes, written as tx ty tz qx qy qz qw",
-        f"poses are interpolated at the colour image's time between samples at most {config.max_pose_gap:g} s apart",
+        f"poses are {f'those at most {beside:g} s from the colour image' if sparse else between}",
     ]
     return by_name, late, notes, warnings
 

@@ -80,10 +80,11 @@ def _proposals(
     if estimate_gain and abs(np.log(found.depth_gain)) > UNUSUAL * sensor_sigma:
         alone = refine(frames, T, evidence=bare, estimate_gain=True, **options)
         text = f"depth and poses differ in scale by {found.depth_gain - 1:+.1%}, more than this sensor is usually off"
+        text += " (so does a wrong focal length)"
         other = f"surfaces without colour say {alone.depth_gain - 1:+.1%}"
         sigma = np.hypot(found.depth_gain_sigma, alone.depth_gain_sigma)
         if abs(found.depth_gain - alone.depth_gain) > 2 * sigma:
-            said.append(f"{text}; {other}: the gain is not applied")
+            said.append(f"{text}; {other}, beyond both errors: the gain is not applied")
             estimate_gain, alone = False, None
             found = refine(frames, T, evidence=evidence, estimate_gain=False, **options)
         else:
