@@ -49,7 +49,8 @@ def help_of(name: str, command: Command, everything: bool) -> str:
     width = min(shutil.get_terminal_size().columns, WIDEST)
     arguments = [option for option in options if not option.names]
     named = [option for option in options if option.names]
-    lines = [f"usage: realsim {name} {''.join(f'{_left(a)} ' for a in arguments)}[options]", ""]
+    needed = [*arguments, *(option for option in named if option.required)]
+    lines = [f"usage: realsim {name} {''.join(f'{_left(a)} ' for a in needed)}[options]", ""]
     for paragraph in description.split("\n\n"):
         lines += [*textwrap.wrap(" ".join(paragraph.split()), width), ""]
     lines += _rows(arguments, width)

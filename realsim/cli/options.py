@@ -35,6 +35,7 @@ class Option:
     help: str
     group: str
     """`general`, `scene`, ...: the part of the configuration that it belongs to; empty for those of the command."""
+    required: bool
 
 
 def options_of(function: Callable[..., Any]) -> tuple[str, list[Option]]:
@@ -51,7 +52,8 @@ def options_of(function: Callable[..., Any]) -> tuple[str, list[Option]]:
             if action.nargs == 0 and not action.default:
                 names = names[:1]  # a switch that is off needs no name that turns it off
             path = action.dest.replace("-", "_")
-            found.append(Option(names, path, _value(action), _help(action.help or ""), _group(path, bool(names))))
+            text, needed = action.help or "", action.required
+            found.append(Option(names, path, _value(action), _help(text), _group(path, bool(names)), needed))
     return parser.description or "", found
 
 
