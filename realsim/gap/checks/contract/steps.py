@@ -86,10 +86,7 @@ def read_steps(case: Case, camera: Camera | None = None) -> Steps:
     ):  # fmt: skip
         if not case.has(signal):
             raise GapError(
-                f"a policy cannot be replayed without {what}",
-                file=case.folder,
-                expected=f"{signal} in each run",
-                hint=f"realsim log RECORDING --model robot.xml says why; --use {signal}=FIELD corrects it",
+                f"a policy cannot be replayed without {what}", file=case.folder, expected=f"{signal} in each run"
             )
     if case.command_kind != "position":
         raise GapError("the log does not command positions", file=case.folder, found=case.command_kind)
