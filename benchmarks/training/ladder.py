@@ -30,7 +30,7 @@ from trainer.policies import TASKS, base_of
 from trainer.ppo.config import LoopConfig
 from trainer.ppo.distributed import pick_device
 from trainer.trainers import TrainConfig, find
-from trainer.trainers.ladder import helped, steadied
+from trainer.trainers.ladder import helped
 from trainer.verdict import judge
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -79,7 +79,6 @@ def measured(options: Options) -> dict[str, Any]:
         lands, task = helped(scene, task)
     loop = LoopConfig(iterations=100_000, minutes=options.minutes, checkpoint_every=400, tensorboard=False)
     config = TrainConfig(worlds=options.worlds, device=options.device, seed=options.seed, task=task, loop=loop)
-    config = steadied(config) if options.method == "ladder" else config
 
     def trials(file: Path) -> Evaluation:
         policy, device = load_policy(file), pick_device(options.device)

@@ -30,7 +30,7 @@ from trainer.tasks.parkour.config import (
 from trainer.terrain import generate
 from trainer.terrain.widen import LADDER
 from trainer.trainers import Scene, TrainConfig, ppo
-from trainer.trainers.ladder import ALONG, HELP_BELOW, STEADY, WAITING, helped, steadied
+from trainer.trainers.ladder import ALONG, HELP_BELOW, WAITING, helped
 
 pytestmark = pytest.mark.usefixtures("quick_export")
 SMALL = [
@@ -105,14 +105,6 @@ def test_help_for_a_first_success_leaves_the_users_own_settings() -> None:
     assert (task.reset.along, task.reward.weights) == (ALONG, {"dont_wait": WAITING})
     own = ParkourConfig(reset=ResetConfig(along=0.1, keep_last=0.5), reward=RewardConfig(weights={"dont_wait": -1.0}))
     assert helped(scene, own)[1] == own
-
-
-def test_a_hard_course_ends_with_less_noise_unless_its_end_is_given() -> None:
-    config = steadied(TrainConfig())
-    noise = [config.ppo.std_limit(0, tuned=True, share=s) for s in (0.0, 0.5, 1.0)]
-    assert noise == pytest.approx([0.3, 0.225, STEADY])
-    own = TrainConfig(ppo=PPOConfig(std_end=0.4))
-    assert steadied(own) == own
 
 
 def failure(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, str]:

@@ -146,7 +146,7 @@ def test_noise_at_its_bound_can_learn_again(bound: int, weight: float) -> None:
 def test_the_largest_noise_falls_and_a_tuned_policy_has_the_last_from_the_start() -> None:
     config = replace(CONFIG, std_limits=(1.0, 0.5), std_iterations=2)
     assert [config.std_limit(i, tuned=False) for i in (0, 1, 2, 9)] == [1.0, 0.75, 0.5, 0.5]
-    assert [config.std_limit(0, tuned=True, share=s) for s in (0.0, 1.0)] == [0.5, 0.5]
+    assert config.std_limit(0, tuned=True) == 0.5
     r = runner(replace(config, entropy_weight=1.0), groups={"first": (0,), "all": (0, 1)})  # entropy pulls it up
     rows = [r.iterate() for _ in range(3)]
     assert [row["std_limit"] for row in rows] == [1.0, 0.75, 0.5]
@@ -198,10 +198,10 @@ def test_an_interrupted_run_is_kept_up_to_the_last_checkpoint(tmp_path: Path, mo
     r = runner(BRIEF, worlds=4)
     iterate = r.iterate
 
-    def interrupted(share: float) -> dict[str, float]:
+    def interrupted() -> dict[str, float]:
         if r.iteration == 3:
             raise KeyboardInterrupt
-        return iterate(share)
+        return iterate()
 
     monkeypatch.setattr(r, "iterate", interrupted)
     config = LoopConfig(iterations=5, checkpoint_every=100, tensorboard=False)
@@ -267,9 +267,9 @@ def test_evaluations_take_no_more_than_their_share(tmp_path: Path, monkeypatch: 
     r = runner(BRIEF, worlds=4)
     iterate = r.iterate
 
-    def second(share: float) -> dict[str, float]:
+    def second() -> dict[str, float]:
         now[0] += 1
-        return iterate(share)
+        return iterate()
 
     def five_seconds(policy: object) -> float:
         now[0] += 5

@@ -53,7 +53,7 @@ def tuned(**settings: float):
     r = runner(BRIEF, worlds=4)
     r.policy.tuned = (("full", StrategyConfig()),)
     iterate = r.iterate
-    r.iterate = lambda share: {**iterate(share), "env/episode/waiting": settings.get("waiting", 0.1)}
+    r.iterate = lambda: {**iterate(), "env/episode/waiting": settings.get("waiting", 0.1)}
     return r
 
 

@@ -16,7 +16,7 @@ from realsim.core.progress import note
 from trainer.config import Evaluation, EvaluationConfig
 from trainer.policies import TASKS, base_of
 from trainer.trainers import Scene, TrainConfig, TrainResult, find
-from trainer.trainers.ladder import HELP_BELOW, helped, steadied
+from trainer.trainers.ladder import HELP_BELOW, helped
 
 
 @dataclass(frozen=True)
@@ -68,8 +68,7 @@ def finetune(
         final_trials: trials on each terrain before and after; 0 leaves both out, and the policy of the best trials on
             the way is delivered without a test.
         first_success: help begins on the same course with wider tops, which narrow as it is crossed, with starts
-            along it and half the exploration noise; plain does not; auto helps where the base crosses a terrain in
-            fewer than 80 %.
+            along it; plain does not; auto helps where the base crosses a terrain in fewer than 80 %.
     """
     from trainer.commands import common
     from trainer.commands.task_file import load_task
@@ -117,7 +116,7 @@ def finetune(
     lands = scene
     if help_it:
         lands, task = helped(scene, config.task)
-        config = steadied(replace(config, task=task))
+        config = replace(config, task=task)
     try:
         result = train(lands, policy, config, out)
     except (RealsimError, KeyboardInterrupt):

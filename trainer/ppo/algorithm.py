@@ -66,9 +66,9 @@ class PPO:
     def log_std(self) -> Tensor:
         return gaussian.bounded(self.policy.log_std, self.std_limit)  # type: ignore[arg-type]
 
-    def limit_noise(self, iteration: int, share: float = 0.0) -> None:
-        """Bound the exploration noise as the schedule has it for this iteration, after a share of the training."""
-        self.std_limit = self.config.std_limit(iteration, self.tuned, share)
+    def limit_noise(self, iteration: int) -> None:
+        """Bound the exploration noise as the schedule has it for this iteration."""
+        self.std_limit = self.config.std_limit(iteration, self.tuned)
         gaussian.keep_within(self.policy.get_parameter("log_std"), self.std_limit)
 
     @torch.no_grad()

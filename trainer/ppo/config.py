@@ -82,10 +82,8 @@ class PPOConfig:
     entropy_weight: float = 0.001
     """Weight of the entropy bonus. With 0.005 the noise of G1's 29 joints grew all through training."""
     std_limits: tuple[float, float] = (1.0, 0.3)
-    """Largest exploration noise, at first and after `std_iterations`; fine-tuning begins with the second. Under a
+    """Largest exploration noise, at first and after `std_iterations`; fine-tuning has the second all along. Under a
     standard deviation of 0.94 a foot of G1 lands 12 cm off (one sigma), under 0.35 4 cm; hard footholds are 16 cm."""
-    std_end: float | None = None
-    """Largest exploration noise at the end of fine-tuning, to which it falls linearly; if not given, as at first."""
     std_iterations: int = 400
     """Iterations over which the largest noise falls from the first to the second value, linearly."""
     learning_rate: float | None = None
@@ -110,7 +108,7 @@ class PPOConfig:
     def __post_init__(self) -> None:
         check_fields(
             self,
-            above=dict.fromkeys(("gamma", "clip", "learning_rate", "std_limits", "std_end"), 0),
+            above=dict.fromkeys(("gamma", "clip", "learning_rate", "std_limits"), 0),
             least=dict.fromkeys(("steps", "epochs", "minibatches"), 1)
             | dict.fromkeys(("lam", "std_iterations", "critic_rate"), 0),
             most={"gamma": 1, "lam": 1},
@@ -129,12 +127,10 @@ class PPOConfig:
                 found=f"--minibatches {self.minibatches}",
             )
 
-    def std_limit(self, iteration: int, tuned: bool, share: float = 0.0) -> float:
-        """Largest exploration noise in an iteration of a new policy, or after a share of a fine-tuning."""
+    def std_limit(self, iteration: int, tuned: bool) -> float:
+        """Largest exploration noise in an iteration of a new policy, or of one that is fine-tuned."""
         first, last = self.std_limits
-        if tuned:
-            return last + ((self.std_end or last) - last) * share
-        done = 1.0 if iteration >= self.std_iterations else iteration / self.std_iterations
+        done = 1.0 if tuned or iteration >= self.std_iterations else iteration / self.std_iterations
         return first + (last - first) * done
 
     def first_rate(self, tuned: bool) -> float:

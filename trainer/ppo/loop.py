@@ -13,7 +13,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import torch
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from realsim.core.files import explain_write_errors, write_text
@@ -21,7 +20,7 @@ from realsim.core.progress import console, note, visible
 from trainer.errors import TrainerError
 from trainer.ppo import checkpoint
 from trainer.ppo.config import LoopConfig
-from trainer.ppo.distributed import all_mean, any_rank
+from trainer.ppo.distributed import any_rank
 from trainer.ppo.policy import Policy
 from trainer.ppo.runner import Runner
 
@@ -89,7 +88,7 @@ def train(
         if runner.iteration == 0 and history.evaluations:
             write({"iteration": 0, "success": history.evaluations[0][1]})
         while not done:
-            row = {"iteration": runner.iteration, **runner.iterate(_share(runner, config, until))}
+            row = {"iteration": runner.iteration, **runner.iterate()}
             write(row)
             due = config.evaluate_every and runner.iteration % config.evaluate_every == 0
             affordable = evaluating <= config.evaluate_share * (time.perf_counter() - began)
@@ -239,14 +238,6 @@ def _evaluate(runner: Runner, evaluate: Evaluate, history: History, best: Best) 
         best.consider(rate, runner.policy)
     history.evaluations.append((runner.iteration, rate))
     return rate
-
-
-def _share(runner: Runner, config: LoopConfig, until: float) -> float:
-    """Share of the training that is done, by iterations or by time, whichever is ahead."""
-    share = runner.iteration / config.iterations
-    if config.minutes:
-        share = max(share, 1 - (until - time.monotonic()) / (60 * config.minutes))
-    return float(all_mean(torch.tensor(min(share, 1.0), device=runner.rank.device)))
 
 
 def _done(runner: Runner, history: History, config: LoopConfig, until: float) -> bool:

@@ -71,16 +71,12 @@ class Runner:
         self.rollout.restart()
         self.episodes.restart()
 
-    def iterate(self, share: float = 0.0) -> dict[str, float]:
-        """One iteration; its losses, the environment's log, mean reward, episode figures and seconds.
-
-        Args:
-            share: of the training that is done, the same on all ranks.
-        """
+    def iterate(self) -> dict[str, float]:
+        """One iteration; its losses, the environment's log, mean reward, episode figures and seconds."""
         if self.observation is None:
             self.begin()
         began = time.perf_counter()
-        self.ppo.limit_noise(self.iteration, share)
+        self.ppo.limit_noise(self.iteration)
         log = self._collect()
         self._wait()
         collected = time.perf_counter()

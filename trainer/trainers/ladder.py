@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from trainer.tasks.parkour import ParkourConfig
 from trainer.terrain.widen import LADDER, ladder
-from trainer.trainers.base import Scene, TrainConfig
+from trainer.trainers.base import Scene
 
 HELP_BELOW = 0.8
 """Base success below which training begins on wider tops. Set on beams, stakes and mixed courses of difficulty 1 and on
@@ -17,10 +17,6 @@ WAITING = -2.0
 """Weight of waiting while told to go. With the paper's -0.5 a robot that steps off the start and stands until the
 time is over earns 62, discounted as PPO does 7.6, and one that falls half way 12 and 7.2; with this weight 34 and 5.8.
 Standing at the start earns 12 and 5.3, with this weight 6 and 2.7 (tests/trainer/test_attempt.py)."""
-
-STEADY = 0.15
-"""Largest exploration noise with which such a training ends: a foot of G1 then lands 2 cm off (one sigma), with the
-usual 0.3 3.5 cm, which is all that a beam 13 cm wide leaves beside the foot."""
 
 
 def helped(scene: Scene, task: ParkourConfig) -> tuple[Scene, ParkourConfig]:
@@ -35,8 +31,3 @@ def helped(scene: Scene, task: ParkourConfig) -> tuple[Scene, ParkourConfig]:
         # Every rung of a reconstruction is geometry of its own: in five sizes each it would not fit into a model.
         task = replace(task, randomisation=replace(task.randomisation, terrain_variants=1))
     return replace(scene, terrains=ladder(scene.terrains), rows=len(LADDER), judged=scene.terrains), task
-
-
-def steadied(config: TrainConfig) -> TrainConfig:
-    """With less and less exploration noise, unless its end is given."""
-    return replace(config, ppo=replace(config.ppo, std_end=config.ppo.std_end or STEADY))
