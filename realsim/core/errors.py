@@ -136,7 +136,7 @@ class ExportError(RealsimError):
 class GapError(RealsimError):
     """A robot log cannot support a diagnosis."""
 
-    usual_hint = "docs/logs.md says what a case holds; realsim diagnose CASE --check shows the health of a log"
+    usual_hint = "docs/logs.md says what a case holds, realsim log RECORDING --model MODEL what was taken for what"
 
 
 EXTRA_OF = {

@@ -15,10 +15,11 @@ AREA = 1.6
 EDGEWISE = np.log(1000)
 """Of that ratio: a sheet has nothing to stand on when it is looked at along its edge."""
 FLOOR = 1.0
-"""For a floor: level surface, facing up, over half of the plan, within a fifth of the height above the lowest such."""
+"""For a floor: level surface, facing up, over half of the plan, within a fifth of the height above the lowest such, or
+above the lowest point where nothing stands higher."""
 BASE = 1.5
-"""For a mesh whose numbers begin at 0 along one axis and not along the other: modellers stand things on zero. Not where
-they do along x too: that is the corner of a plan, as grids have it."""
+"""For a mesh whose numbers begin at 0 along one axis and not along the other, with triangles there: modellers stand
+things on zero. The edge of a grid that begins there has none."""
 HABIT = 0.75
 """For z in STL, PLY, OBJ and OFF (most have it so, and phones and Blender write y); twice as much for y in GLB."""
 CLEAR = 0.9
@@ -74,10 +75,7 @@ def find_up(vertices: F64, triangles: NDArray[np.int64], suffix: str) -> Up:
         z, y = turned_z, turned_y
     ratio = float(np.log((z.area + 1e-9) / (y.area + 1e-9)))
     evidence = habit + (ratio if abs(ratio) > EDGEWISE else float(np.clip(ratio, -AREA, AREA)))
-    evidence += FLOOR * (int(z.floor) - int(y.floor))
-    low = corners.min((0, 1))
-    zero_x, zero_y, zero_z = (np.abs(low) < 1e-3 * np.ptp(corners, (0, 1)).max()).tolist()
-    evidence += BASE * (zero_z - zero_y) * (not zero_x)
+    evidence += FLOOR * (int(z.floor) - int(y.floor)) + BASE * (int(z.base) - int(y.base))
     axis = "z" if evidence > 0 else "y"
     areas = f"{float(f'{z.area:.2g}'):g} m2 face up along z, {float(f'{y.area:.2g}'):g} m2 along y"
     if abs(evidence) < CLEAR:
@@ -95,18 +93,24 @@ class _FacingUp:
     area: float
     """m^2 on which one could walk; within another solid nobody can."""
     floor: bool
+    base: bool
 
 
 def _facing_up(corners: F64, cross: F64, axis: int, solids: Rays | None) -> _FacingUp:
     area = np.linalg.norm(cross, axis=1)
     up = cross[:, axis] > WALKABLE * np.maximum(area, 1e-30)
     heights = corners[:, :, axis]
+    fifth = 0.2 * float(np.ptp(heights)) + 1e-6
     lowest = heights[up].min(initial=heights.max())
+    if not (heights[up] > lowest + fifth).any():
+        lowest = heights.min()  # what nothing stands on is a floor only where the mesh begins
     plan = np.delete(corners, axis, 2).reshape(-1, 2)
     footprint = float(np.ptp(plan, axis=0).prod())
-    at_bottom = up & (heights.max(1) < lowest + 0.2 * np.ptp(heights) + 1e-6)
+    at_bottom = up & (heights.max(1) < lowest + fifth)
+    zero = 1e-3 * float(np.ptp(corners, (0, 1)).max())
+    base = heights.min() > -zero and bool((heights.max(1) < zero).any())
     free = 1.0 if solids is None else _outside(corners, cross, np.where(up, area, 0.0), solids)
-    return _FacingUp(free * float(area[up].sum()), bool(area[at_bottom].sum() > 0.5 * footprint))
+    return _FacingUp(free * float(area[up].sum()), bool(area[at_bottom].sum() > 0.5 * footprint), base)
 
 
 def _outside(corners: F64, cross: F64, weights: F64, solids: Rays) -> float:

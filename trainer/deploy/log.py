@@ -141,6 +141,7 @@ class CaseLog:
                 file=self.folder,
                 expected=f"{need / 1e6:.0f} MB free",
                 found=f"{free / 1e6:.0f} MB",
+                hint="free some space, or choose another folder for the log",
             )
 
     def _write_head(self) -> None:

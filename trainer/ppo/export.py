@@ -85,13 +85,14 @@ def export(path: Path, policy: Policy, facts: Deployment, checks: int = 64) -> f
     return error
 
 
-def load(path: Path) -> tuple[Any, Deployment]:
+def load(path: Path | str) -> tuple[Any, Deployment]:
     """(onnxruntime session, metadata) of an exported policy.
 
     Raises:
         TrainerError: not ONNX, cut off, not exported by `export`, of another version, or with metadata that do not fit
             each other or the network; or a network that fails on zeros.
     """
+    path = Path(path)
     try:
         runtime = open_network(path)
     except ModelError as error:
