@@ -143,7 +143,7 @@ def test_onnx_computes_the_same_and_carries_its_layout(tmp_path: Path, strategie
     policy = make(*strategies)
     path = tmp_path / "a.onnx"
     assert export.export(path, policy, facts(policy)) <= 1e-5
-    runtime, found = export.load(path)
+    runtime, found = export.load(str(path))
     assert found == facts(policy)
     o = observation(7)  # another batch than it was exported with
     (action,) = runtime.run(None, {"vector": o.actor.numpy(), "depth": o.depth.numpy()})

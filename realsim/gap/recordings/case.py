@@ -33,7 +33,7 @@ MAX_ASSET_BYTES = 512 * 2**20
 def write_case(
     proposal: Proposal,
     target: Target,
-    out: Path,
+    out: Path | str,
     *,
     overwrite: bool = False,
     check: Callable[[Path], object] | None = None,
@@ -55,7 +55,7 @@ def write_case(
             hint="`realsim log` without --out shows what was understood; --use ROLE=FIELD (or COLUMN,...) names it",
         )
     said: list[str] = []
-    with output_folder(out, overwrite=overwrite, source=proposal.recordings[0].path) as work:
+    with output_folder(Path(out), overwrite=overwrite, source=proposal.recordings[0].path) as work:
         (work / "runs").mkdir()
         written: dict[str, int] = {}
         for recording in proposal.recordings:

@@ -194,7 +194,7 @@ def test_a_run_named_by_bytes_that_are_no_text_is_written(arm: Log, tmp_path: Pa
     target = load_target(save(tmp_path, ARM))
     path = tmp_path / os.fsdecode(b"run\xff.npz")
     np.savez(path, time=arm.time, q=arm.pos, q_des=arm.command)
-    write_case(propose(read(path), target), target, tmp_path / "case")
+    write_case(propose(read(path), target), target, str(tmp_path / "case"))
     assert len(load_case(tmp_path / "case").runs) == 1
 
 
