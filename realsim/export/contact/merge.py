@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from realsim.core.meshes import areas, sampled
 from realsim.core.types import F64
 from realsim.export.contact.base import Geom
-from realsim.export.contact.polytope import Polytope, corners_of
+from realsim.export.contact.polytope import Polytope, corners_of, farthest
 
 ADDS = 0.004
 """Metres by which a hull may stand out of the shape; planes are fitted no more closely. On the true mesh of a rendered
@@ -24,6 +24,8 @@ PLACES = 5000
 """...how many at most on a part: a large one is sampled more widely."""
 ALIKE = 0.98
 """Cosine between faces that are one: its plane is that of the largest."""
+AT_ONCE = 5000
+"""Points times parts that are looked at together: some 0.5 MB."""
 MOST_CORNERS = 64
 """Of one part; colliders on a GPU take no more."""
 
@@ -67,10 +69,12 @@ class Whole:
     def _beyond(self, points: F64, margin: float, most: float) -> bool:
         left = points[points[:, 2] > self.ground + margin]
         if len(left) > most:
-            for k in self.near.of(left.min(0) - margin, left.max(0) + margin):
-                left = left[~self.parts[k].contains(left, margin)]
-                if len(left) <= most:
-                    break
+            near = self.near.of(left.min(0) - margin, left.max(0) + margin)
+            while len(near) and len(left) > most:
+                some = 1 + AT_ONCE // len(left)
+                planes = [self.parts[k].planes for k in near[:some]]
+                left = left[(farthest(left, planes) > margin).all(1)]
+                near = near[some:]
         return len(left) <= most
 
     def holds_hull(self, part: Polytope, margin: float, *within: Polytope) -> bool:

@@ -43,7 +43,7 @@ def _fewest_corners(trace: F64, tolerance: float) -> F64:
     for ring in rings:
         if len(ring) < 3:
             continue
-        off = _distance(trace, ring)
+        off = distance(trace, ring)
         near = np.percentile(off, 90) < tolerance and off.max() < FARTHEST * tolerance
         if near and (len(ring), off.mean()) < score:
             best, score = ring, (len(ring), off.mean())
@@ -100,7 +100,7 @@ def _sharpen(
     return corners, lines
 
 
-def _distance(points: F64, ring: F64) -> F64:
+def distance(points: F64, ring: F64) -> F64:
     """(N,) distance of points (N, 2) from the sides of a ring (M, 2)."""
     side = np.roll(ring, -1, axis=0) - ring
     length = np.maximum((side**2).sum(1), 1e-18)
@@ -212,7 +212,7 @@ def hull(points: F64) -> F64:
                     break
                 chain.pop()
             chain.append(p)
-        chain.pop()
+        del chain[-1:]
     return np.array(chain) if len(chain) > 2 else np.zeros((0, 2))
 
 

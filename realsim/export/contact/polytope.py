@@ -116,7 +116,7 @@ class Polytope:
         empty where it does not."""
         height = self.points @ face.normal + face.offset - beyond
         triangles = self.hull[1]
-        start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()  # every edge, once in each direction
+        start, end = triangles.ravel(), triangles[:, [1, 2, 0]].ravel()  # every edge, once in each direction
         crosses = (height[start] > 0) & (height[end] <= 0)
         start, end = start[crosses], end[crosses]
         t = height[start] / (height[start] - height[end])
@@ -154,6 +154,13 @@ class Face:
     def lifted(self, flat: F64, beyond: float = 0.0) -> F64:
         """(N, 3) of points (N, 2) in its plane, `beyond` metres outside."""
         return np.asarray(flat @ self.axes + (beyond - self.offset) * self.normal)
+
+
+def farthest(points: F64, planes: list[F64]) -> F64:
+    """(N, K) metres from points (N, 3) to the farthest plane of each of K parts [(P, 4)]; negative inside of all."""
+    every = np.concatenate(planes)
+    first = np.cumsum([0, *map(len, planes[:-1])])
+    return np.asarray(np.maximum.reduceat(points @ every[:, :3].T + every[:, 3], first, axis=1))
 
 
 def corners_of(*points: F64) -> F64:

@@ -9,6 +9,7 @@ import numpy as np
 from realsim.core.geometry import R_to_quat, quat_to_R
 from realsim.core.types import F64
 from realsim.export.contact.base import Asset, ContactModel, Geom
+from realsim.export.contact.outline import distance
 from realsim.export.contact.polytope import Polytope
 
 FLAT = 1e-4  # metres: corners are written to a hundredth of a millimetre, and MuJoCo finds no hull of a plane
@@ -74,9 +75,7 @@ def _as_box(name: str, prism: Prism, tolerance: float = 0.005) -> Geom | None:
     if half.min() <= 0:
         return None
     rectangle = centre + np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half @ axes
-    if max(_distance(prism.outline, p) for p in rectangle) > tolerance:
-        return None
-    if max(_distance(rectangle, p) for p in prism.outline) > tolerance:
+    if max(distance(rectangle, prism.outline).max(), distance(prism.outline, rectangle).max()) > tolerance:
         return None
     A = np.column_stack([prism.outline - centre, np.ones(len(prism.outline))])
     a, b, top = np.linalg.lstsq(A, prism.top, rcond=None)[0]
@@ -127,11 +126,3 @@ def _mean_rectangle(outline: F64, tolerance: float) -> tuple[F64, F64, F64]:
     high = np.array([along[along[:, k] > half[k] - 2 * tolerance, k].mean() for k in (0, 1)])
     low = np.array([along[along[:, k] < 2 * tolerance - half[k], k].mean() for k in (0, 1)])
     return centre + (low + high) / 2 @ axes, axes, (high - low) / 2
-
-
-def _distance(outline: F64, point: F64) -> float:
-    """Distance of a point from an outline's nearest side."""
-    a, b = outline, np.roll(outline, -1, axis=0)
-    side = b - a
-    t = np.clip(((point - a) * side).sum(1) / np.maximum((side**2).sum(1), 1e-18), 0, 1)
-    return float(np.linalg.norm(a + t[:, None] * side - point, axis=1).min())

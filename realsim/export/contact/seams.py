@@ -17,7 +17,7 @@ from realsim.core.types import F64
 from realsim.export.contact.base import Asset, ContactModel, Geom
 from realsim.export.contact.merge import ADDS, Neighbours, Whole, merged
 from realsim.export.contact.outline import hull
-from realsim.export.contact.polytope import Face, Polytope
+from realsim.export.contact.polytope import Face, Polytope, farthest
 
 REACH = 0.02
 """Metres by which one part reaches into the next."""
@@ -128,14 +128,14 @@ def _covers(parts: list[Polytope], near: Neighbours, i: int, face: Face) -> Iter
     """Neighbours that go on where a face of part i ends, and do not reach into it."""
     beyond = face.corners + REACH * face.normal
     low, high = np.minimum(face.corners.min(0), beyond.min(0)), np.maximum(face.corners.max(0), beyond.max(0))
-    outline, part = convex(face.flat(face.corners)), parts[i]
+    outline, part = hull(face.flat(face.corners)), parts[i]
     for j in near.of(low, high, but=i):
         other = parts[j]
-        back = min(other.faces, key=lambda f: float(f.normal @ face.normal))
+        back = other.faces[int((other.planes[:, :3] @ face.normal).argmin())]
         cosine = float(back.normal @ face.normal)
         if cosine > -OPPOSED:
             continue
-        close = clip(outline, other.section(face, GAP))
+        close = clip(outline, hull(other.section(face, GAP)))
         if _width(close) <= NARROW:
             continue
         into = float(((face.lifted(close) @ back.normal + back.offset) / cosine).min())
@@ -158,13 +158,13 @@ def _straight_on(part: Polytope, face: Face, beyond: float, outline: F64, flat: 
         flat: the face in whose plane the outline is given, on the other side of the same seam; None for `face`.
     """
     plane, height = (face, beyond) if flat is None else (flat, -beyond)
-    outline = convex(outline)
+    outline = hull(outline)
     for other in part.faces:
         if other is not face and len(outline):
             normal = plane.axes @ other.normal
             offset = other.offset + (height - plane.offset) * float(plane.normal @ other.normal)
             outline = _cut(outline, outline @ normal + offset)
-    return convex(outline)
+    return hull(outline)
 
 
 def _thickness(part: Polytope, face: Face) -> float:
@@ -178,7 +178,7 @@ def _grown(parts: list[Polytope], near: Neighbours, whole: Whole, i: int, face: 
     open_ = [c for c in covers if not _spanned(parts, near, c)]
     if not open_:
         return None
-    outline = convex(face.flat(face.corners))
+    outline = hull(face.flat(face.corners))
     through = min(_thickness(parts[c.part], face) for c in covers) - FLUSH
     tries = [(outline, FARTHER), (outline, REACH), (outline, through)]
     # A neighbour whose own surface falls away from the seam (the other side of a ridge) is entered below that.
@@ -199,7 +199,7 @@ def _bridges(parts: list[Polytope], near: Neighbours) -> Iterator[Polytope]:
     for i, part in enumerate(parts):
         for face in part.faces:
             for cover in _covers(parts, near, i, face):
-                if not _spanned(parts, near, cover) and not any(m.contains(cover.core, GAP).all() for m in made):
+                if not _spanned(parts, near, cover) and not _held(cover.core, made):
                     made.append(Polytope.around(cover.core))
                     yield made[-1]
 
@@ -207,27 +207,28 @@ def _bridges(parts: list[Polytope], near: Neighbours) -> Iterator[Polytope]:
 def _spanned(parts: list[Polytope], near: Neighbours, cover: _Cover) -> bool:
     """Whether one part holds a seam and REACH on both sides of it."""
     core = cover.core
-    return any(parts[j].contains(core, GAP).all() for j in near.of(core.min(0) + GAP, core.max(0) - GAP))
+    return _held(core, [parts[j] for j in near.of(core.min(0) + GAP, core.max(0) - GAP)])
 
 
-def convex(points: F64) -> F64:
-    """(M, 2) hull of points (N, 2), counter-clockwise; empty where they have no area."""
-    return hull(points) if len(points) > 2 else np.zeros((0, 2))
+def _held(core: F64, parts: list[Polytope]) -> bool:
+    """Whether one of some parts holds all points (N, 3)."""
+    return bool(parts and (farthest(core, [part.planes for part in parts]) <= GAP).all(0).any())
 
 
 def clip(outline: F64, other: F64) -> F64:
-    """(M, 2) what two convex outlines (K, 2) share (Sutherland and Hodgman 1974)."""
-    outline, other = convex(outline), convex(other)
+    """(M, 2) what two outlines (K, 2) as `hull` makes them share (Sutherland and Hodgman 1974)."""
     if len(outline) < 3 or len(other) < 3:
         return np.zeros((0, 2))
-    for a, b in zip(other, np.roll(other, -1, 0), strict=True):
+    for a, b in zip(other, [*other[1:], other[0]], strict=True):
         outline = _cut(outline, (b[1] - a[1]) * (outline[:, 0] - a[0]) - (b[0] - a[0]) * (outline[:, 1] - a[1]))
-    return convex(outline)
+    return hull(outline)
 
 
 def _cut(outline: F64, outside: F64) -> F64:
     """(M, 2) what of a convex outline (K, 2) is not outside a line, by the distances (K,) of its corners from that."""
     kept, out = [], outside > 1e-6  # of two lines in one, rounding would cut a corner off
+    if not out.any():
+        return outline
     for k in range(len(outline)):
         n = (k + 1) % len(outline)
         if not out[k]:

@@ -30,12 +30,4 @@ def island_solid(whole: Terrain, island: Island) -> tuple[F64, NDArray[np.int32]
     vertices, faces, _, _ = marching_cubes(field, 0.0)
     xy = whole.grid.xy(vertices[:, 0] - 2 + island.corner[0], vertices[:, 1] - 2 + island.corner[1])
     points = np.column_stack([xy, lowest + cell * vertices[:, 2]])
-    # Grid axes (y, x, z) are left-handed: what faced out faces out again when the order is kept or turned to suit.
-    if _volume(points, faces) < 0:
-        faces = faces[:, ::-1]
     return points, np.ascontiguousarray(faces, np.int32)
-
-
-def _volume(vertices: F64, faces: NDArray) -> float:
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
