@@ -112,7 +112,7 @@ def test_an_interrupt_leaves_nothing_half_written(
     arguments += SMALL
     assert main(arguments) == 130
     assert list(tmp_path.iterdir()) == []
-    assert "nothing half-written" in capsys.readouterr().err
+    assert "nothing half-written is left; finished stages are kept and reused" in capsys.readouterr().err
 
 
 def test_a_full_disk_is_said_and_leaves_nothing(

@@ -51,12 +51,18 @@ def main(argv: Sequence[str] | None = None) -> int:
             said = f"interrupted: {ended}" if str(ended) else "interrupted"
             _write(sys.stdout, _error({"error": "Interrupted", "message": said}))
         else:
-            kept = "" if "--no-cache" in sys.argv else "; finished stages are kept and reused"
+            kept = "; finished stages are kept and reused" if _keeps_stages(arguments) else ""
             _tell(f"interrupted: {ended if str(ended) else f'nothing half-written is left{kept}'}", "yellow")
         return 130
     except BrokenPipeError:
         _drop(sys.stdout)
         return 0
+
+
+def _keeps_stages(arguments: list[str]) -> bool:
+    """Whether a command keeps finished stages: one that may be told not to, and was not."""
+    name = next(iter(arguments), "")
+    return "--no-cache" not in sys.argv and name.isalpha() and "--no-cache" in help_of(name, find(name), True)
 
 
 def _answered(arguments: list[str], as_json: bool) -> tuple[str, int]:

@@ -354,6 +354,20 @@ def _sweep(path: Path) -> None:
                 os.close(handle)
 
 
+def check_room(folder: Path, need: float, message: str) -> None:
+    """Refuse a folder, which need not exist, on a disk with less than `need` bytes free.
+
+    Raises:
+        RealsimError: with this message.
+    """
+    there = next(p for p in (folder, *folder.absolute().parents) if p.is_dir())
+    if (free := shutil.disk_usage(there).free) < need:
+        raise RealsimError(
+            message, file=folder, expected=f"{need / 1e6:.0f} MB free", found=f"{free / 1e6:.0f} MB",
+            hint="free some space, or choose another folder",
+        )  # fmt: skip
+
+
 def refuse_within(out: Path, source: Path) -> None:
     """Refuse an output folder that is the input or holds it: what is in it is replaced as a whole."""
     if source.resolve().is_relative_to(out.resolve()):

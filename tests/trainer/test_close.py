@@ -4,10 +4,12 @@ import json
 import shutil
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from realsim.core.errors import RealsimError
 from realsim.gap.case.case import load_case
 from realsim.gap.checks.camera.recorded import depth_camera
 from trainer.commands.close import close
@@ -52,6 +54,27 @@ def test_a_run_is_a_case_without_a_note(case: Path) -> None:
     assert json.loads((case / "deploy.json").read_text())["runs"]["run_1"]["reason"] == "done"
 
 
+def test_a_simulated_robot_stands_still_while_the_loop_is_late(tmp_path: Path) -> None:
+    terrain, _ = find_terrain("boxes:0.2:1")
+    session, facts = export.load(POLICY)
+    config, now = DeployConfig(seconds=0.6, max_late=1000), [0.0]
+
+    def clock() -> float:  # a machine that computes for up to 0.1 s between two looks at the clock
+        now[0] += (0.013 * len(f"{now[0]}")) % 0.1
+        return now[0]
+
+    def sleep(seconds: float) -> None:
+        now[0] += seconds
+
+    log = CaseLog(tmp_path / "case", QUADRUPED, terrain, POLICY, facts, config)
+    report = deploy(MujocoRobot(QUADRUPED, terrain), session, facts, config, log=log, clock=clock, sleep=sleep)
+    assert report.late > 0
+    (found,) = load_case(tmp_path / "case").runs
+    np.testing.assert_allclose(found.time, 0.02 * np.arange(30), atol=1e-9)
+    depth = np.load(tmp_path / "case" / "runs" / "run_0.npz")["depth_time"]
+    np.testing.assert_allclose(depth, found.time, atol=1e-9)
+
+
 def test_the_logged_pinhole_has_the_rays_of_the_policys_pixels(case: Path) -> None:
     camera = depth_camera(load_case(case))
     width, height = QUADRUPED.camera.crop
@@ -87,8 +110,8 @@ def test_a_disk_without_room_refuses_before_the_robot_starts_and_a_lost_one_keep
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as m:
-        m.setattr(logs.shutil, "disk_usage", lambda path: SimpleNamespace(free=1e6))
-        with pytest.raises(TrainerError, match="no room"):
+        m.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=1e6))
+        with pytest.raises(RealsimError, match="no room"):
             run(tmp_path / "full")
     assert not (tmp_path / "full").exists()
 
@@ -100,7 +123,33 @@ def test_a_disk_without_room_refuses_before_the_robot_starts_and_a_lost_one_keep
         run(tmp_path / "lost")
     kept = Path(str(error.value.hint).rpartition(" ")[2])
     assert "observation" in np.load(kept)
+    assert not list(tmp_path.iterdir())  # half a case is none
     kept.unlink()
+
+
+@pytest.mark.parametrize("file", ["model.xml", "policy.onnx", "run_2.npz", "deploy.json"])
+def test_a_further_run_that_cannot_be_written_leaves_the_case_as_it_was(
+    case: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, file: str
+) -> None:
+    other = tmp_path / "case"
+    shutil.copytree(case, other)
+    if file == "policy.onnx":
+        (other / file).unlink()
+    before = {path: path.read_bytes() for path in other.rglob("*") if path.is_file()}
+    for name in ("write_bytes", "write_text"):
+        write = getattr(logs, name)
+
+        def full(path: Path, data: Any, write: Any = write) -> None:
+            if path.name == file:
+                raise RealsimError("cannot write", file=path, found="File too large")
+            write(path, data)
+
+        monkeypatch.setattr(logs, name, full)
+    with pytest.raises(TrainerError, match="could not be written") as error:
+        run(other)
+    assert error.value.found == "File too large"
+    assert {path: path.read_bytes() for path in other.rglob("*") if path.is_file()} == before
+    Path(str(error.value.hint).rpartition(" ")[2]).unlink()
 
 
 def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -113,16 +114,29 @@ def failure(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, st
 
 
 def test_a_run_that_was_interrupted_before_its_first_checkpoint_leaves_nothing(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def interrupted(*_: object) -> None:
         (tmp_path / "run" / "history.jsonl").write_text("")
+        (tmp_path / "run" / "events").mkdir()
         raise KeyboardInterrupt
 
     monkeypatch.setattr("trainer.commands.finetune.find", lambda _: interrupted)
     policy = str(folder / "base" / "policy.pt")
     out = tmp_path / "run"
     assert main(["finetune", "flat", "--policy", policy, "--out", str(out), "--final-trials", "0", *SMALL]) == 130
+    assert not out.exists()
+    assert "nothing half-written is left\n" in capsys.readouterr().err  # no stage is kept, and none is promised
+
+
+def test_training_does_not_begin_on_a_full_disk(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=1e6))
+    policy, out = str(folder / "base" / "policy.pt"), tmp_path / "run"
+    for command in (["finetune", "flat", "--policy", policy], ["pretrain", "--terrain", "flat"]):
+        said = failure(capsys, *command, "--out", str(out), *SMALL)
+        assert (said["expected"], said["found"], said["file"]) == ("50 MB free", "1 MB", str(out))
     assert not out.exists()
 
 

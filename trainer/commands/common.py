@@ -7,7 +7,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from realsim.core.errors import MissingExtraError, UnknownNameError
-from realsim.core.files import refuse_existing
+from realsim.core.files import check_room, refuse_existing
 
 if find_spec("torch") is None:
     raise MissingExtraError("torch", "train", "training and running policies")
@@ -85,10 +85,16 @@ def setting(policy: Policy, file: Path, device: torch.device, config: TrainConfi
     return Setting(policy.robot, engine, None, task, physics, config.diagnosis)
 
 
+_ROOM = 50e6
+"""Bytes: a checkpoint of the policies that ship is 11 MB, and is written beside the one that it replaces."""
+
+
 def check_output(out: Path, overwrite: bool, config: TrainConfig) -> None:
-    """Refuse a folder that holds another run, or anything else; a run that is resumed may be in it."""
+    """Refuse a folder that holds another run, or anything else, or has no room; a run that is resumed may be in it."""
     if first_rank() and config.resume is None:
         refuse_existing(out, overwrite, ("policy.pt", "history.jsonl", "result.json"))
+    if first_rank():
+        check_room(out, _ROOM, "the disk has no room for a training's results")
 
 
 def first_rank() -> bool:

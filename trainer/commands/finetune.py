@@ -5,6 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from shutil import rmtree
 from typing import Annotated, Any, Literal
 
 import tyro
@@ -123,6 +124,7 @@ def finetune(
         if not (out / "policy.pt").is_file():  # nothing was trained: there is no run to go on with
             for name in ("result.json", "history.jsonl"):
                 (out / name).unlink(missing_ok=True)
+            rmtree(out / "events", ignore_errors=True)
             with suppress(OSError):
                 out.rmdir()
         raise

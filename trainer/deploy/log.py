@@ -8,8 +8,8 @@ Samples stay in memory while the robot moves, so that no disk delays a step, and
 """
 
 import io
-import shutil
 import tempfile
+from contextlib import nullcontext
 from dataclasses import asdict
 from math import radians, tan
 from pathlib import Path
@@ -18,7 +18,16 @@ from typing import Any
 import numpy as np
 
 from realsim.core.errors import RealsimError
-from realsim.core.files import digest, read_bytes, read_json, to_json, write_bytes, write_text
+from realsim.core.files import (
+    check_room,
+    digest,
+    output_folder,
+    read_bytes,
+    read_json,
+    to_json,
+    write_bytes,
+    write_text,
+)
 from realsim.core.geometry import R_to_quat, quat_to_R
 from trainer.config import DeployConfig
 from trainer.deploy.robot import Reading
@@ -52,7 +61,7 @@ class CaseLog:
         config: of the loop.
 
     Raises:
-        TrainerError: the folder holds something else, or the disk has no room for the run.
+        RealsimError: the folder holds something else, or the disk has no room for the run.
     """
 
     def __init__(
@@ -101,18 +110,31 @@ class CaseLog:
             return None
         buffer = io.BytesIO()
         arrays: dict[str, Any] = {name: np.array(values) for name, values in self.samples.items()}
+        begun = arrays["time"][0]
+        arrays |= {name: arrays[name] - begun for name in ("time", "depth_time") if name in arrays}
         np.savez_compressed(buffer, **arrays)
         name = f"run_{len(self.runs)}"
-        try:
-            self._write_head()
-            write_bytes(self.folder / "runs" / f"{name}.npz", buffer.getvalue())
-            self.runs[name] = outcome
-            write_text(self.folder / "deploy.json", to_json(self.identity | {"runs": self.runs}))
+        further = (self.folder / "deploy.json").is_file()
+        try:  # a new case appears whole or not at all
+            with nullcontext(self.folder) if further else output_folder(self.folder) as folder:
+                self._write_run(folder, name, buffer.getvalue(), outcome)
         except (OSError, RealsimError) as error:
+            found = error.found if isinstance(error, RealsimError) else str(error)
             raise TrainerError(
-                "the log could not be written", file=self.folder, found=str(error), hint=_rescued(name, buffer)
+                "the log could not be written", file=self.folder, found=found, hint=_rescued(name, buffer)
             ) from error
+        self.runs[name] = outcome
         return self.folder / "runs" / f"{name}.npz"
+
+    def _write_run(self, folder: Path, name: str, arrays: bytes, outcome: dict[str, Any]) -> None:
+        self._write_head(folder)
+        file = folder / "runs" / f"{name}.npz"
+        write_bytes(file, arrays)
+        try:
+            write_text(folder / "deploy.json", to_json(self.identity | {"runs": self.runs | {name: outcome}}))
+        except RealsimError:
+            file.unlink()
+            raise
 
     def _check(self, config: DeployConfig) -> None:
         if self.folder.exists() and (not self.folder.is_dir() or any(self.folder.iterdir())):
@@ -131,20 +153,12 @@ class CaseLog:
                     else "a file",
                 )
             self.runs = dict(before.get("runs", {}))
-        there = next(p for p in (self.folder, *self.folder.absolute().parents) if p.is_dir())
         width = self.facts.layout.actor_width + 8 * len(self.facts.layout.actions) + 30
         pixels = int(np.prod(self.facts.layout.depth[1:])) if self.facts.layout.depth else 0
         need = config.seconds / self.facts.policy_dt * (8 * width + 4 * pixels) + _SPARE
-        if (free := shutil.disk_usage(there).free) < need:
-            raise TrainerError(
-                "the disk has no room for the log: the robot was not started",
-                file=self.folder,
-                expected=f"{need / 1e6:.0f} MB free",
-                found=f"{free / 1e6:.0f} MB",
-                hint="free some space, or choose another folder for the log",
-            )
+        check_room(self.folder, need, "the disk has no room for the log: the robot was not started")
 
-    def _write_head(self) -> None:
+    def _write_head(self, folder: Path) -> None:
         spec = world_spec(self.body, self.terrain, slots_for([self.terrain]), PhysicsConfig())
         spec.body(self.body.base).add_site(name=IMU)
         log: dict[str, Any] = {
@@ -164,10 +178,10 @@ class CaseLog:
             spec.body(camera.body).add_camera(name=CAMERA, pos=camera.pos, quat=quat, fovy=camera.fovy_deg)
             log["depth_camera"] = pinhole(camera)
         spec.compile()
-        write_text(self.folder / "model.xml", spec.to_xml())
-        write_text(self.folder / "log.json", to_json(log))
-        if not (self.folder / "policy.onnx").is_file():
-            write_bytes(self.folder / "policy.onnx", read_bytes(self.policy))
+        write_text(folder / "model.xml", spec.to_xml())
+        write_text(folder / "log.json", to_json(log))
+        if not (folder / "policy.onnx").is_file():
+            write_bytes(folder / "policy.onnx", read_bytes(self.policy))
 
 
 def pinhole(mount: DepthMount) -> dict[str, Any]:

@@ -130,7 +130,7 @@ def deploy(
             robot.write(targets)
             if log is not None:
                 passed = started - began if config.realtime else report.steps * facts.policy_dt
-                log.add(passed, reading, inputs, told, speed, action, targets)
+                log.add(passed if reading.time is None else reading.time, reading, inputs, told, speed, action, targets)
             report.latency_s.append(clock() - started)
             report.steps += 1
             due += facts.policy_dt

@@ -46,6 +46,7 @@ class MujocoRobot:
         self.physics.reset(here, base, torch.tensor([[1.0, 0, 0, 0]]), pose, here)
         self._course = Course.of([terrain], torch.device("cpu"))
         self.stopped = True
+        self._steps = 0
 
     def start(self, kp: F64, kd: F64) -> None:
         """See `Robot.start`. The simulated servos have the gains of the table: others are refused."""
@@ -60,16 +61,20 @@ class MujocoRobot:
         """See `Robot.read`: the exact state, no noise."""
         s = self.physics.state
         down = rotate_back(s.base_quat, torch.tensor([0.0, 0.0, -1.0]))
-        first = [t[0].double().numpy() for t in (s.base_ang_vel, down, s.joint_pos, s.joint_vel)]
+        ang_vel, gravity, joints, speeds = (
+            t[0].double().numpy() for t in (s.base_ang_vel, down, s.joint_pos, s.joint_vel)
+        )
         pose = [t[0].double().numpy().copy() for t in (s.base_pos, s.base_quat, s.joint_torque)]
         contact = (s.foot_force[0] > 1.0).double().numpy()
-        return Reading(first[0], first[1], first[2], first[3], self._depth(), pose[0], pose[1], contact, pose[2])
+        passed = self._steps * self.policy_dt
+        return Reading(ang_vel, gravity, joints, speeds, self._depth(), pose[0], pose[1], contact, pose[2], passed)
 
     def write(self, targets: F64) -> None:
         """See `Robot.write`; advances the simulation by a policy step."""
         if self.stopped:
             raise TrainerError("the robot has not been started", hint="call start before write")
         self.physics.step(torch.as_tensor(targets, dtype=torch.float32)[None])
+        self._steps += 1
 
     def stop(self) -> None:
         """See `Robot.stop`."""

@@ -32,6 +32,9 @@ class Reading:
     """(F,) 1 for a foot that bears load, in the order of the robot's feet."""
     joint_torque: F64 | None = None
     """(J,) N m."""
+    time: float | None = None
+    """s of this moment on the robot's own clock, from any zero; for the log, which has the loop's clock without it. A
+    simulated robot needs one: it stands still while the loop is late."""
 
 
 class Robot(Protocol):

@@ -14,7 +14,7 @@ import tyro
 from realsim import gap
 from realsim.cli.commands import CommandResult, strict_exit
 from realsim.cli.commands.many import run_each
-from realsim.core.errors import RealsimError
+from realsim.core.errors import GapError, RealsimError
 from realsim.core.files import refuse_within
 from realsim.core.progress import answers_early, note, steps, track
 from realsim.gap.case.recordings import is_recording
@@ -183,7 +183,21 @@ def _contract(folder: Path, policy: Path, deploy_yaml: Path | None) -> Found:
     note(f"{policy.name} is replayed on the log of {folder}: seconds")
     case = gap.load_case(folder)
     trained = contract.load_policy(policy, deploy_yaml, case.joint_names)
-    return contract.check(trained, contract.read_steps(case, trained.camera))
+    try:
+        return contract.check(trained, contract.read_steps(case, trained.camera))
+    except GapError as error:
+        error.found = error.found or _why_missing(folder, str(error.expected).partition(" ")[0])
+        raise
+
+
+def _why_missing(folder: Path, signal: str) -> str | None:
+    """What `realsim log` found of an array that a case lacks."""
+    from realsim.core.files import read_json
+
+    file = folder / "proposal.json"
+    found = read_json(file) if file.is_file() else {}
+    lines = found.get("missing", []) if isinstance(found, dict) else []
+    return next((f"{line}; realsim log shows all" for line in lines if str(line).startswith(f"{signal}:")), None)
 
 
 def refuse_recording(path: Path, has_model: bool = False) -> None:

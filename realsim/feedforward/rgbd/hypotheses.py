@@ -116,6 +116,8 @@ def of_poses(scale: float | None) -> list[Hypothesis]:
     other = {} if scale is None else {f"poses of another scale ({1 / scale:.3g} units a metre)": scale}
     for name, factor in {**UNITS, **other}.items():
         hint = f"multiply the positions by {factor:.4g}, or pass --no-metric-poses: the depth then scales them"
+        if name in other:
+            hint = f"check the focal length first, which looks the same where it is wrong; if it is right, {hint}"
         rows.append((name, partial(_scaled, factor=factor), hint))
     for shift in OFFSETS:
         offset = f"a time offset between poses and images of {-shift:g} frames"

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from realsim.core.errors import GapError
 from realsim.core.statistics import alike
 from realsim.core.types import F64
 from realsim.gap.case.units import ANGLE, TORQUE, TURNING
@@ -79,6 +80,24 @@ def command(e: Evidence) -> None:
             )
     e.proposal.command_kind = kind
     _gains(e, source)
+
+
+def of_the_policy(e: Evidence) -> None:
+    """The velocity command that a policy was given, where the user names it.
+
+    Raises:
+        GapError: it is not three wide.
+    """
+    source = next(iter(e.candidates_for("policy_command")), None)
+    if source is None:
+        return
+    if (width := e.of(source)[1].width) != 3:
+        raise GapError(
+            "--use policy_command names no velocity command", file=e.recording.path,
+            expected="three columns: forward, to the left (m/s), turning (rad/s)", found=f"{source.label}: {width}",
+            hint="--use policy_command=VX,VY,WZ; of a Twist, FIELD[item] is one: linear[0],linear[1],angular[2]",
+        )  # fmt: skip
+    e.settle("policy_command", source, range(3), ("vx", "vy", "wz"), ["as named"], unit="m/s and rad/s")
 
 
 def _leader(e: Evidence) -> Candidate | None:

@@ -83,6 +83,7 @@ def propose(
     body.gyroscope(evidence)
     body.place(evidence)
     body.contact(evidence)
+    commands.of_the_policy(evidence)
     if target is not None:
         proposal.depth, lacks = choose(main, target, camera)
         proposal.missing += [lacks] if lacks else []
@@ -185,13 +186,24 @@ def _missing(e: Evidence) -> None:
             "base_quat": "the base's orientation", "base_pos": "the base's position",
             "imu_gyro": "angular velocity of the base", "contact": "which foot stands",
         }  # fmt: skip
-    missing += [f"{role}: {what}" for role, what in optional.items() if role not in have]
+    missing += [f"{role}: {what}{_why_not(e, role)}" for role, what in optional.items() if role not in have]
     if target is None:
         missing.append("--model: without it the order, signs and units of joints are not tested")
     elif proposal.joints:
         left = [j for j in target.joints if j not in proposal.joints]
         if left:
             proposal.warnings.append(f"joints of the model that are not in the log stay at rest: {', '.join(left[:8])}")
+
+
+def _why_not(e: Evidence, role: str) -> str:
+    """Why the fields that may have been this array are not it, in brackets."""
+    if role in e.chosen and e.chosen[role] is None:
+        return f" (left out by --use {role}=none)"
+    labels = [c.label for c in e.candidates if c.role == role]
+    said = [*e.proposal.warnings, *e.proposal.missing]
+    why = [w for w in said if w.startswith(tuple(f"{n}{end}" for n in labels for end in " :"))]
+    why = why or [f"{n} does not fit the model" for n in labels[:3]]
+    return f" ({'; '.join(why)})" if why else ""
 
 
 def _example(proposal: Proposal) -> str:

@@ -9,7 +9,7 @@ from realsim.core.types import F64
 from realsim.gap.recordings.vocabulary import SIGNALS, TIMES, english, plain, time_unit, unit_of
 
 JOINTS = ("joint_pos", "joint_vel", "joint_torque")
-ROLES = ("command", "enabled", *JOINTS, "base_pos", "base_quat", "imu_gyro", "imu_acc", "contact")
+ROLES = ("command", "enabled", *JOINTS, "base_pos", "base_quat", "imu_gyro", "imu_acc", "contact", "policy_command")
 """Arrays of a case."""
 
 # Message type (last part) -> member -> (role, unit). `command.` roles say what is commanded.

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from realsim.core.errors import GapError
 from realsim.core.text_table import cells
-from realsim.gap.recordings import Window, load_target, propose, read
+from realsim.gap.recordings import Window, load_target, propose, read, write_case
 from realsim.gap.recordings.arrays import run_arrays
 from realsim.gap.recordings.clocks import clocked
 from realsim.gap.recordings.names import clock_unit, match_joints, meaning
@@ -157,6 +157,35 @@ def test_two_robots_in_one_recording(arm: Log, tmp_path: Path) -> None:
     propose([two(arm, arm.pos + 1e-4)], target)  # one robot, published twice
     with pytest.raises(GapError, match="no topic begins"):
         propose([two(arm, arm.pos)], target, only="/middle")
+
+
+def test_the_velocity_command_of_a_policy_is_what_the_user_names(quadruped: Log, tmp_path: Path) -> None:
+    target = load_target(save(tmp_path, QUADRUPED))
+    given = np.stack([np.sin(quadruped.time), 0.3 * np.cos(quadruped.time), np.floor(quadruped.time)], axis=1)
+    fields = {"q": Field(quadruped.pos), "q_des": Field(quadruped.command),
+              "ask": Field(given[:, ::-1], ("wz", "vy", "vx"), "", ("wz", "vy", "vx"))}  # fmt: skip
+    logged = recording(Stream("", "table", {"time": quadruped.time}, fields))
+    found = propose([logged], target, use=["policy_command=vx,vy,wz"])
+    write_case(found, target, tmp_path / "case")
+    (file,) = (tmp_path / "case" / "runs").glob("*.npz")
+    np.testing.assert_array_equal(np.load(file)["policy_command"], given)
+    assert "policy_command" not in propose([logged], target).assignments
+    with pytest.raises(GapError, match="no velocity command") as error:
+        propose([logged], target, use=["policy_command=vx,vy"])
+    assert error.value.found == "vx,vy: 2"
+
+
+def test_what_is_missing_has_the_reason(quadruped: Log, tmp_path: Path) -> None:
+    target = load_target(save(tmp_path, QUADRUPED))
+    noise = np.random.default_rng(0).normal(size=quadruped.pos.shape)
+    logged = table(quadruped, q=quadruped.pos, q_des=quadruped.command, dq=noise)
+
+    def missing(role: str, *use: str) -> str:
+        return next(m for m in propose([logged], target, use=use).missing if m.startswith(f"{role}:"))
+
+    assert "(dq is no velocity of the joints: correlation" in missing("joint_vel")
+    assert missing("joint_vel", "joint_vel=none") == "joint_vel: velocities (left out by --use joint_vel=none)"
+    assert missing("imu_gyro") == "imu_gyro: angular velocity of the base"
 
 
 def test_what_the_user_says_goes(arm: Log, tmp_path: Path) -> None:

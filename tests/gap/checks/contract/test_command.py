@@ -66,6 +66,21 @@ def test_the_policy_alone_is_checked_and_nothing_written(
     assert {p.name for p in tmp_path.iterdir()} == {"case", "policy.onnx"}
 
 
+def test_what_the_log_lacks_has_the_reason_that_was_found_when_it_was_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    case, policy = answering(tmp_path / "case", 1.0), write_policy(tmp_path / "policy.onnx")
+    for file in (case / "runs").glob("*.npz"):
+        np.savez(file, **{name: values for name, values in np.load(file).items() if name != "joint_vel"})
+    line = ["diagnose", str(case), "--policy", str(policy), "--check", "--json"]
+    assert main(line) == 2
+    assert json.loads(capsys.readouterr().out)["found"] is None
+    why = "joint_vel: velocities (dq is no velocity of the joints)"
+    (case / "proposal.json").write_text(json.dumps({"missing": ["joint_torque: torques", why]}))
+    assert main(line) == 2
+    assert json.loads(capsys.readouterr().out)["found"].startswith(why)
+
+
 def test_what_is_no_exported_policy_says_what_to_give(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     case = answering(tmp_path / "case", 1.0)
     (tmp_path / "policy.pt").write_bytes(b"PK\x03\x04")
