@@ -17,7 +17,10 @@ from realsim.core.files import check_size, inside
 VARINT, I64, BYTES, I32 = 0, 1, 2, 5
 # Field numbers of onnx.proto.
 MODEL_IR, MODEL_PRODUCER, MODEL_GRAPH, MODEL_OPSET, MODEL_METADATA = 1, 2, 7, 8, 14
-GRAPH_INITIALIZER = 5
+GRAPH_INITIALIZER, GRAPH_INPUT, GRAPH_OUTPUT, GRAPH_VALUE = 5, 11, 12, 13
+TYPE_OF_VALUE, TENSOR_OF_TYPE, SHAPE_OF_TENSOR, DIMENSION_OF_SHAPE = 2, 1, 2, 1
+ONE, UNKNOWN = b"\x08\x01", b"\x1a\x00"
+"""A dimension that is 1, and one of which only an empty denotation is given: as long, and any size."""
 TENSOR_EXTERNAL, TENSOR_LOCATION = 13, 14
 EXTERNAL = 1
 MAX_BYTES = 64 * 2**30
@@ -104,6 +107,30 @@ def open_session(path: Path, model: str | bytes) -> Any:
         raise ModelError(
             "onnxruntime cannot load the network", file=path, found=str(error).partition("\n")[0]
         ) from error
+
+
+def with_any_batch(path: Path) -> bytes:
+    """A network's file with the first dimension of inputs, outputs and values between unknown where it is 1.
+
+    Whether the network then computes the same for each of many rows is to be tried: its operators may hold the 1, too.
+    """
+    content = bytearray(path.read_bytes())
+    for number, graph in _fields(memoryview(content)):
+        for inner, value in _fields(graph) if number == MODEL_GRAPH and not isinstance(graph, int) else ():
+            if inner in (GRAPH_INPUT, GRAPH_OUTPUT, GRAPH_VALUE):
+                first = _first(value, TYPE_OF_VALUE, TENSOR_OF_TYPE, SHAPE_OF_TENSOR, DIMENSION_OF_SHAPE)
+                if first == ONE:
+                    first[:] = UNKNOWN
+    return bytes(content)
+
+
+def _first(data: int | memoryview | None, *numbers: int) -> Any:
+    """The first field of that number in the first field of that number, and so on; None where one is missing."""
+    for number in numbers:
+        data = (
+            None if data is None or isinstance(data, int) else next((v for n, v in _fields(data) if n == number), None)
+        )
+    return data
 
 
 def _model(path: Path, data: memoryview) -> Envelope | None:

@@ -78,9 +78,12 @@ def _from(*first: float) -> tuple[F64, ...]:
 
 
 def _orders(contract: Contract, steps: Steps, loop: Loop) -> Iterator[Family]:
-    """Joints seen, sent, or both in another order: usual ones, any two exchanged, and the best assignment."""
+    """Joints seen, sent, or both in another order: the robot's, usual ones, any two exchanged, the best assignment."""
     joints = contract.joints
     orders = usual_orders(joints)
+    own = tuple(joints.index(j) for j in steps.joints if j in joints)
+    if own != tuple(range(len(joints))):
+        orders = {"the robot's own": own} | {k: v for k, v in orders.items() if v != own}
     kinds, near = ["_".join(j.split("_")[1:]) for j in joints], len(joints) <= ALL_PAIRS
     for i, j in combinations(range(len(joints)), 2):
         if near or j - i <= 2 or kinds[i] == kinds[j]:

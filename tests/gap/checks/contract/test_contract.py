@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from realsim.core.errors import GapError, RealsimError
+from realsim.core.onnx_file import open_session, with_any_batch
 from realsim.gap.checks.contract import Contract, Steps, check, load_policy
 from realsim.gap.checks.contract.policy import Term
 from realsim.gap.checks.contract.steps import Run
@@ -123,6 +124,17 @@ def test_mistakes_are_named_one_after_the_other(kinds: set[str], mistake: dict[s
     assert {e["kind"] for e in found.errors} == kinds
     assert found.left > 2 * found.after
     assert all(e["setting"] for e in found.errors)
+
+
+def test_a_policy_that_is_run_in_the_robots_own_order_of_joints() -> None:
+    order, contract = [2, 5, 0, 1, 4, 3], make_contract()
+    see = lambda v: v[order]  # noqa: E731
+    steps = loop(contract, see=see, see_vel=see, send=lambda t: t[np.argsort(order)])
+    (run,) = steps.runs
+    run = replace(run, command=run.command[:, order], pos=run.pos[:, order], vel=run.vel[:, order])
+    found = check(contract, replace(steps, joints=tuple(JOINTS[i] for i in order), runs=(run,)))
+    assert [e["kind"] for e in found.errors] == ["joint_order"]
+    assert "the robot's own" in found.sentence
 
 
 def logged_between(steps: Steps, times: int) -> Steps:
@@ -258,7 +270,9 @@ def test_a_policy_of_another_robot_is_refused() -> None:
         check(replace(contract, joints=("a", *JOINTS[1:])), loop(contract))
 
 
-def onnx_policy(path: Path, width: int, meta: dict[str, str], weights: np.ndarray | None = None) -> Path:
+def onnx_policy(
+    path: Path, width: int, meta: dict[str, str], weights: np.ndarray | None = None, rows: str | int = "n"
+) -> Path:
     """A network that multiplies observations by weights (width, joints), ones of six joints if none are given."""
     onnx = pytest.importorskip("onnx", reason="onnx is not installed: pip install -e '.[dev]'")
     from onnx import TensorProto, helper, numpy_helper
@@ -266,8 +280,8 @@ def onnx_policy(path: Path, width: int, meta: dict[str, str], weights: np.ndarra
     weights = np.ones((width, 6), np.float32) if weights is None else weights
     graph = helper.make_graph(
         [helper.make_node("MatMul", ["obs", "w"], ["actions"])], "p",
-        [helper.make_tensor_value_info("obs", TensorProto.FLOAT, ["n", width])],
-        [helper.make_tensor_value_info("actions", TensorProto.FLOAT, ["n", weights.shape[1]])],
+        [helper.make_tensor_value_info("obs", TensorProto.FLOAT, [rows, width])],
+        [helper.make_tensor_value_info("actions", TensorProto.FLOAT, [rows, weights.shape[1]])],
         [numpy_helper.from_array(weights, "w")],
     )  # fmt: skip
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9)
@@ -316,6 +330,26 @@ def test_contracts_of_other_tools(tmp_path: Path) -> None:
     assert made.default.tolist() == [0.6, 0.5, 0.4, 0.3, 0.2, 0.1]
     assert made.terms[2].kind == "unknown"
     assert made.zero.tolist() == [0.1] * 6
+
+
+def test_a_network_for_one_observation_is_run_for_many(tmp_path: Path) -> None:
+    onnx = pytest.importorskip("onnx", reason="onnx is not installed: pip install -e '.[dev]'")
+
+    weights = np.random.default_rng(0).normal(size=(27, 6)).astype(np.float32)
+    names = ",".join(JOINTS), "base_ang_vel,projected_gravity,command,joint_pos,joint_vel,actions"
+    numbers = ("default_joint_pos", "action_scale", "joint_stiffness", "joint_damping")
+    meta = {"joint_names": names[0], "observation_names": names[1]} | dict.fromkeys(numbers, ",".join(["0.5"] * 6))
+    file, seen = onnx_policy(tmp_path / "one.onnx", 27, meta, weights, rows=1), np.eye(27)[:5]
+    (at_once,) = open_session(file, with_any_batch(file)).run(None, {"obs": seen.astype(np.float32)})
+    assert at_once == pytest.approx(weights[:5])
+    assert load_policy(file).run(seen, None) == pytest.approx(weights[:5])
+
+    model = onnx.load(str(file))  # an operator that holds the 1, too
+    model.graph.node[0].output[0] = "product"
+    model.graph.initializer.append(onnx.numpy_helper.from_array(np.array([1, 6]), "shape"))
+    model.graph.node.append(onnx.helper.make_node("Reshape", ["product", "shape"], ["actions"]))
+    onnx.save(model, str(file))
+    assert load_policy(file).run(seen, None) == pytest.approx(weights[:5])
 
 
 def test_policies_that_cannot_be_read(tmp_path: Path) -> None:
