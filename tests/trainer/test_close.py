@@ -6,6 +6,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -73,6 +74,20 @@ def test_a_simulated_robot_stands_still_while_the_loop_is_late(tmp_path: Path) -
     np.testing.assert_allclose(found.time, 0.02 * np.arange(30), atol=1e-9)
     depth = np.load(tmp_path / "case" / "runs" / "run_0.npz")["depth_time"]
     np.testing.assert_allclose(depth, found.time, atol=1e-9)
+
+
+def test_a_run_replayed_in_its_own_model_is_the_run_again(case: Path) -> None:
+    model = mujoco.MjModel.from_xml_path(str(case / "model.xml"))
+    log = json.loads((case / "log.json").read_text())
+    run, data = np.load(case / "runs" / "run_1.npz"), mujoco.MjData(model)
+    data.qpos, data.qvel = run["init_qpos"], run["init_qvel"]
+    joints = [int(model.joint(name).qposadr[0]) for name in log["joint_names"]]
+    for command, base, place in zip(run["command"], run["base_pos"], run["joint_pos"], strict=True):
+        np.testing.assert_allclose(data.qpos[:3], base, atol=1e-3)
+        np.testing.assert_allclose(data.qpos[joints], place, atol=1e-2)
+        data.ctrl[[model.actuator(name).id for name in log["actuator_names"]]] = command
+        mujoco.mj_step(model, data, round(0.02 / model.opt.timestep))
+    assert np.abs(run["joint_pos"][-1] - run["joint_pos"][0]).max() > 0.1  # it moves
 
 
 def test_the_logged_pinhole_has_the_rays_of_the_policys_pixels(case: Path) -> None:

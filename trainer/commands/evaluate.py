@@ -59,7 +59,7 @@ def evaluate(
     others = common.find_scene(finer).terrains if finer else ()
     found = run_trials(loaded.to(place).act, scene.terrains, config, setting, finer=others)
     data = found.as_dict()
-    lines = [*common.trial_lines("success", found)]
+    lines = [f"{'robot':<14} {loaded.robot}", *common.trial_lines("success", found)]
     singles: dict[str, dict[str, Any] | None] = {}
     if each and diagnosis is not None:
         singles = {"no cause": None, **alone(diagnosis)}

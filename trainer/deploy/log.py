@@ -75,6 +75,7 @@ class CaseLog:
             "config": asdict(config),
         }
         self.samples: dict[str, list[Any]] = {}
+        self.first: Reading | None = None
         self.runs: dict[str, Any] = {}
         self._check(config)
 
@@ -97,6 +98,7 @@ class CaseLog:
         }
         if reading.depth is not None:
             row |= {"depth": np.nan_to_num(reading.depth), "depth_time": time}
+        self.first = self.first or reading
         for name, value in row.items():
             self.samples.setdefault(name, []).append(np.array(value, np.float32 if name == "depth" else float))
 
@@ -106,13 +108,13 @@ class CaseLog:
         Raises:
             TrainerError: it cannot be written; where a folder for temporary files has room it is kept there.
         """
-        if not self.samples:
+        if self.first is None:
             return None
         buffer = io.BytesIO()
         arrays: dict[str, Any] = {name: np.array(values) for name, values in self.samples.items()}
         begun = arrays["time"][0]
         arrays |= {name: arrays[name] - begun for name in ("time", "depth_time") if name in arrays}
-        np.savez_compressed(buffer, **arrays)
+        np.savez_compressed(buffer, **arrays, **self._state(self.first))
         name = f"run_{len(self.runs)}"
         further = (self.folder / "deploy.json").is_file()
         try:  # a new case appears whole or not at all
@@ -125,6 +127,25 @@ class CaseLog:
             ) from error
         self.runs[name] = outcome
         return self.folder / "runs" / f"{name}.npz"
+
+    def _state(self, reading: Reading) -> dict[str, Any]:
+        """init_qpos and init_qvel of a case, where the whole state is known: MuJoCo has the base's velocity in the
+        world and its turning in its own axes."""
+        if reading.base_lin_vel is None or reading.base_pos is None or reading.base_quat is None:
+            return {}
+        model = self._spec().compile()
+        joints = [model.joint(name) for name in self.body.joints]
+        qpos, qvel = model.qpos0.copy(), np.zeros(model.nv)
+        qpos[:7] = np.concatenate([reading.base_pos, reading.base_quat])
+        qvel[:6] = np.concatenate([reading.base_lin_vel, reading.ang_vel])
+        qpos[[int(j.qposadr[0]) for j in joints]] = reading.joint_pos
+        qvel[[int(j.dofadr[0]) for j in joints]] = reading.joint_vel
+        return {"init_qpos": qpos, "init_qvel": qvel}
+
+    def _spec(self) -> Any:
+        spec = world_spec(self.body, self.terrain, slots_for([self.terrain]), PhysicsConfig())
+        spec.body(self.body.base).add_site(name=IMU)
+        return spec
 
     def _write_run(self, folder: Path, name: str, arrays: bytes, outcome: dict[str, Any]) -> None:
         self._write_head(folder)
@@ -159,8 +180,7 @@ class CaseLog:
         check_room(self.folder, need, "the disk has no room for the log: the robot was not started")
 
     def _write_head(self, folder: Path) -> None:
-        spec = world_spec(self.body, self.terrain, slots_for([self.terrain]), PhysicsConfig())
-        spec.body(self.body.base).add_site(name=IMU)
+        spec = self._spec()
         log: dict[str, Any] = {
             "joint_names": list(self.body.joints),
             "actuator_names": list(self.body.joints),

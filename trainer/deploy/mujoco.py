@@ -66,8 +66,10 @@ class MujocoRobot:
         )
         pose = [t[0].double().numpy().copy() for t in (s.base_pos, s.base_quat, s.joint_torque)]
         contact = (s.foot_force[0] > 1.0).double().numpy()
-        passed = self._steps * self.policy_dt
-        return Reading(ang_vel, gravity, joints, speeds, self._depth(), pose[0], pose[1], contact, pose[2], passed)
+        passed, moves = self._steps * self.policy_dt, s.base_lin_vel[0].double().numpy().copy()
+        return Reading(
+            ang_vel, gravity, joints, speeds, self._depth(), pose[0], pose[1], contact, pose[2], passed, moves
+        )
 
     def write(self, targets: F64) -> None:
         """See `Robot.write`; advances the simulation by a policy step."""

@@ -35,6 +35,9 @@ class Reading:
     time: float | None = None
     """s of this moment on the robot's own clock, from any zero; for the log, which has the loop's clock without it. A
     simulated robot needs one: it stands still while the loop is late."""
+    base_lin_vel: F64 | None = None
+    """(3,) m/s in the scene's frame, where it is known exactly, as in a simulator: a replay then begins in the very
+    state, and not in one that is estimated from the first samples."""
 
 
 class Robot(Protocol):
