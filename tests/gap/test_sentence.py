@@ -97,6 +97,27 @@ def test_phrases(effect: str, value: float, unit: str, ends: tuple[float, float]
     assert phrase(cause(effect, value, unit, *ends, joints=["hip"])) == f"hip: {said}"
 
 
+@pytest.mark.parametrize(
+    ("effect", "name", "unit", "place", "said", "long"),
+    [
+        ("com_offset", "x", "m", {"bodies": ["forearm"]}, "needs its centre of mass changed by x −0.1 m on forearm",
+         "forearm: centre of mass is to be changed by x −0.1 m [−0.12, −0.08] in the model"),
+        ("link_geometry", "length", "m", {"bodies": ["fore"]}, "needs its link geometry changed by −0.1 m on fore",
+         "fore: link geometry is to be changed by −0.1 m [−0.12, −0.08] in the model"),
+        ("joint_offset", "offset", "m", {"joints": ["lift"]}, "needs its encoder zero offset changed by −0.1 m at lift",
+         "lift: encoder zero offset is to be changed by −0.1 m [−0.12, −0.08] in the model"),
+        ("joint_offset", "offset", "rad", {"joints": ["hip"]}, "lacks encoder zero offset of −0.1 rad at hip",
+         "hip: encoder zero offset −0.1 rad [−0.12, −0.08] is missing"),
+    ],
+)  # fmt: skip
+def test_a_direction_is_that_of_the_patch(
+    effect: str, name: str, unit: str, place: dict[str, Any], said: str, long: str
+) -> None:
+    found = cause(effect, -0.1, unit, -0.12, -0.08, name=name, **place)
+    assert say("identified", [found]).startswith(f"Your model {said}; with it")
+    assert phrase(found) == long
+
+
 def test_payloads_are_added_or_taken_off() -> None:
     more = cause("payload", 1.2, "kg", 1.0, 1.4, name="mass", bodies=["torso_link"])
     more["parameters"] |= {
@@ -248,7 +269,7 @@ def test_two_causes_are_added_together() -> None:
 
 def test_a_single_component_says_which_way() -> None:
     shift = cause("com_offset", 0.065, "m", 0.057, 0.073, name="z", bodies=["upper"])
-    assert phrase(shift) == "upper: centre of mass z 0.065 m [0.057, 0.073] is missing"
+    assert phrase(shift) == "upper: centre of mass is to be changed by z 0.065 m [0.057, 0.073] in the model"
 
 
 def test_a_delay_is_no_vector() -> None:

@@ -98,7 +98,7 @@ def gone(checked: Check) -> str:
 
 
 def clause(cause: Cause) -> str:
-    """What the model lacks or has too much of, without intervals: `lacks 0.21 kg on forearm`."""
+    """What the model lacks, has too much of or is to be changed by, without intervals: `lacks 0.21 kg on forearm`."""
     effect, parameters = EFFECTS[cause["effect"]], cause["parameters"]
     words, passing = effect.words, effect.law.passing
     names = ", ".join(_plain(n) for n in places_of(cause))
@@ -119,7 +119,7 @@ def clause(cause: Cause) -> str:
     if first["unit"] == "ratio" and len(bare) == 1:
         return f"needs {size} its {effect.title}{place}"
     if words.sort == "direction" and first["unit"] == "m":
-        return f"has its {effect.title} off by {size}{place}"
+        return f"needs its {effect.title} changed by {size}{place}"
     if less:
         return f"has {size} too much {effect.title}{place}"
     return f"lacks {'a ' if thing else ''}{effect.title} of {size}{place}"
@@ -216,6 +216,8 @@ def phrase(cause: Cause) -> str:
         return f"{place}{effect.title} is {_size(parameters, passing, -1)} too large in the model"
     notes = [p["note"] for p in parameters.values() if p.get("note") not in (None, NOT_DETERMINED)]
     note = f" ({'; '.join(notes)})" if notes else ""
+    if words.sort == "direction" and first["unit"] == "m":
+        return f"{place}{effect.title} is to be changed by {size} in the model{note}"
     return f"{place}{effect.title} {size} is missing{note}"
 
 
