@@ -1,7 +1,10 @@
 """The log of a deployment, and the loop that begins with it, at toy size on the quadruped that ships."""
 
 import json
+import os
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -165,6 +168,19 @@ def test_a_further_run_that_cannot_be_written_leaves_the_case_as_it_was(
     assert error.value.found == "File too large"
     assert {path: path.read_bytes() for path in other.rglob("*") if path.is_file()} == before
     Path(str(error.value.hint).rpartition(" ")[2]).unlink()
+
+
+def test_a_run_that_can_be_kept_nowhere_leaves_no_part_of_it(tmp_path: Path) -> None:
+    """A limit on the size of files, which no look at the free space tells: in a process of its own."""
+    code = (
+        "import resource, sys; from pathlib import Path; from tests.trainer.test_close import run\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (9000, 9000)); run(Path(sys.argv[1]) / 'case')"
+    )
+    limited = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path)], env=os.environ | {"TMPDIR": str(tmp_path)}, capture_output=True
+    )
+    assert b"it could not be kept elsewhere either" in limited.stderr
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:

@@ -216,9 +216,13 @@ def pinhole(mount: DepthMount) -> dict[str, Any]:
 
 
 def _rescued(name: str, buffer: io.BytesIO) -> str:
+    kept: Path | None = None
     try:
         with tempfile.NamedTemporaryFile(prefix=f"{name}_", suffix=".npz", delete=False) as file:
+            kept = Path(file.name)
             file.write(buffer.getvalue())
-        return f"the run is kept in {file.name}"
+        return f"the run is kept in {kept}"
     except OSError as error:
+        if kept is not None:
+            kept.unlink(missing_ok=True)
         return f"it could not be kept elsewhere either: {error}"
