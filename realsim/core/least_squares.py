@@ -172,18 +172,29 @@ def least_squares(
             H, g = _raised(H, precision), g + precision * (at.moved + prior[0])
         may: Any = np.ones(len(g), bool) if free is None else free
         if bounds is not None:
-            x: Any = at.state
-            may = may & ~(((x <= bounds[0]) & (g > 0)) | ((x >= bounds[1]) & (g < 0)))
-        which = np.flatnonzero(may)
-        H, g = (H[which][:, which], g[which]) if len(which) < len(may) else (H, g)
+            may = may & ~(((at.state <= bounds[0]) & (g > 0)) | ((at.state >= bounds[1]) & (g < 0)))  # type: ignore[operator]
         diagonal = H.diagonal()
         # Far below every real constraint, so that an unknown which nothing speaks of cannot make it singular.
-        ridge = 1e-9 * float(diagonal.mean()) if len(which) else 0.0
+        ridge = 1e-9 * float(diagonal[may].mean()) if may.any() else 0.0
 
         def step(damping: float) -> F64:
-            out = np.zeros(len(may))
-            out[which] = -Normal(_raised(H, damping * diagonal + ridge), eliminated).solve(g)
-            return out
+            out, moves = np.zeros(len(g)), may
+            while True:
+                which = np.flatnonzero(moves)
+                inner, right = (H[which][:, which], (g + H @ out)[which]) if len(which) < len(g) else (H, g)
+                found = -Normal(_raised(inner, damping * diagonal[which] + ridge), eliminated).solve(right)
+                x: Any = at.state
+                crosses = np.zeros(len(which), bool)
+                if bounds is not None:
+                    low, high = bounds[0][which] - x[which], bounds[1][which] - x[which]
+                    crosses = (found < low) | (found > high)
+                    # Who would cross a bound goes as far as that, and the others are solved for again.
+                    found = np.clip(found, low, high)
+                if not crosses.any():
+                    out[which] = found
+                    return out
+                out[which[crosses]] = found[crosses]
+                moves = moves & ~np.isin(np.arange(len(g)), which[crosses])
 
         return step
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import scipy.optimize
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.sparse import csr_matrix
 
@@ -51,6 +51,7 @@ def test_the_optimum_is_that_of_scipy(seed: int, robust: bool, bounded: bool) ->
     theirs = scipy.optimize.least_squares(
         residual, start, bounds=(low, high), loss="cauchy" if robust else "linear", f_scale=2.0, xtol=1e-12, ftol=1e-12
     )
+    assume(theirs.success)  # some draws are all but a line: the rate goes to zero, and neither ends
     loss = {"loss": cauchy(2.0)} if robust else {}
     ours = least_squares(
         differences(residual, np.full(3, 1e-5)), start, bounds=(low, high), iterations=300, least_gain=1e-13, **loss
