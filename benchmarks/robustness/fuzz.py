@@ -112,7 +112,7 @@ def to_file(file: IO[bytes]) -> Iterator[None]:
 
 
 def worker(pipe: Connection, work: Path) -> None:
-    """Trials as they are asked for, one after the other, each within the limits: the system ends what exceeds them."""
+    """Trials, one after the other, each within the limits: the system ends what exceeds them."""
     resource.setrlimit(resource.RLIMIT_DATA, (MEMORY, MEMORY))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     with contextlib.suppress(EOFError):

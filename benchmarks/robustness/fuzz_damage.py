@@ -373,7 +373,7 @@ CONTENT: tuple[tuple[str, Damage, tuple[str, ...]], ...] = (
     ("array", lambda path, rng: np.save(path, odd_array(np.load(path), rng)), (".npy",)),
     ("archive_member", archive_member, (".npz", ".r3d", ".pt")),
 )
-"""What a suffix stands in several times is done as many times as often."""
+"""A damage that is listed several times for a suffix is drawn as many times as often."""
 TEXTUAL = ("text_number", "text_line")
 """Of files of text that nothing above is for."""
 ANY = (*BYTES, *FILES)

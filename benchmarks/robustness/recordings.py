@@ -201,7 +201,7 @@ def file_a_side(p: Path) -> Path:
 
 
 def command_alone(log: Log, order: Sequence[int] | None = None) -> Log:
-    """A run whose state is another's command, or whose commands stand in another order."""
+    """A run whose state is another's command, or whose commands are in another order."""
     if order is None:
         return Log(log.time, log.command, log.command, 0 * log.vel, 0 * log.torque)
     return Log(log.time, log.command[:, order], log.pos, log.vel, log.torque)

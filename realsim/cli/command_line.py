@@ -60,7 +60,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _keeps_stages(arguments: list[str]) -> bool:
-    """Whether a command keeps finished stages: one that may be told not to, and was not."""
+    """Whether a command keeps finished stages: one with --no-cache, which was not given."""
     name = next(iter(arguments), "")
     return "--no-cache" not in sys.argv and name.isalpha() and "--no-cache" in help_of(name, find(name), True)
 

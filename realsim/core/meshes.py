@@ -114,7 +114,7 @@ def members(label: NDArray[np.int64]) -> list[NDArray[np.int64]]:
 
 
 CACHED = 2048
-"""Sums that are made at once: with their rows they fit a processor's cache."""
+"""Sums that are made at once: with their rows they fit a processor's cache; the result does not depend on it."""
 
 
 def sum_by_key(keys: NDArray[np.int64], rows: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:

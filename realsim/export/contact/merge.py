@@ -25,7 +25,7 @@ PLACES = 5000
 ALIKE = 0.98
 """Cosine between faces that are one: its plane is that of the largest."""
 AT_ONCE = 5000
-"""Points times parts that are looked at together: some 0.5 MB."""
+"""Points times parts that are compared at a time, some 0.5 MB; the result does not depend on it."""
 MOST_CORNERS = 64
 """Of one part; colliders on a GPU take no more."""
 

@@ -19,10 +19,6 @@ from realsim.gap.effects.base import (
     fixed,
 )
 
-FORM = 0.08
-"""Twice that of other laws: friction goes with the torque of the step before. With less an arm with nothing else got
-compliance beside it (seed 3600)."""
-
 
 def _excited(context: Context, place: Place) -> Excitation:
     load, turns = context.load(place), min(context.reversals[j] for j in place)
@@ -63,6 +59,6 @@ EFFECT = Effect(
     ),
     excited_by=_excited,
     patchable=False,
-    law=Law(form=FORM, stepwise=True),
+    law=Law(stepwise=True),
     rivals=Rivals(suggest=_suggests, compared=("stiffness_gain", "motor_gain")),
 )
