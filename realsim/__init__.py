@@ -8,8 +8,6 @@
 Nothing heavy is imported before a function is called.
 """
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 import realsim.export as _export  # noqa: F401 (first: later, it would hide the function of its name)

@@ -1,7 +1,5 @@
 """The import rule: stages know the types, not each other; the toolkit does not know the trainer."""
 
-from __future__ import annotations
-
 import ast
 import importlib.util
 import tomllib

@@ -4,8 +4,6 @@ The same test run for other readings of the same files (another depth unit, inve
 convention that was really used, where the one that was assumed does not fit.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ A collision representation is a function `(Shape, SceneConfig) -> ContactModel`,
 file in `contact/`, one line here.
 """
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from realsim.core.registry import Registry, lazily

@@ -8,8 +8,6 @@
 `check_case` looks at the health of a log alone, `start_case` makes the folder of a new case.
 """
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from realsim.core.registry import lazily

@@ -1,7 +1,5 @@
 """From a case to a diagnosis: split, simulate, search on the fitted runs, check on the others, say it."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace

@@ -1,7 +1,5 @@
 """Surface of an aligned scene: fusion, reconstruction, trimming, clean-up, decimation, quality."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from realsim.core.registry import lazily

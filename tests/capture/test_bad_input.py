@@ -1,7 +1,5 @@
 """Damaged single frames are dropped and named, the rest goes on; what is wrong as a whole is an error that helps."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

@@ -4,8 +4,6 @@ The library can only play a recording from its start, and frames here are asked 
 unpacked once, into the user's cache folder, and read from there; a changed recording is unpacked anew.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

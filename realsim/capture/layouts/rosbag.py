@@ -4,8 +4,6 @@ Frames are asked for in any order and a bag is read from its start, so it is unp
 folder; a changed recording is unpacked anew. Only one message is in memory at a time.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field

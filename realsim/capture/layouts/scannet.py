@@ -4,8 +4,6 @@ Colour (1296x968) and depth (640x480) have cameras of their own; depth is in mil
 and full of -inf where tracking was lost. Also the `scannet_frames_25k` form with the camera files beside the folders.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The similarity between two sets of corresponding points, whatever some of them say."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Selects the frames to compare and their points on a common surface."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -3,8 +3,6 @@
 They are filled while the simulator is open; nothing that reads them simulates.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

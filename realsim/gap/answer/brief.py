@@ -1,7 +1,5 @@
 """A diagnosis in a few lines, for the terminal and for the head of the page: cause, size, evidence, what to do."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What recorded depth says of its camera, put into a diagnosis."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from realsim.gap.answer.diagnosis import Diagnosis

@@ -4,8 +4,6 @@ One definition everywhere (sentence, page, JSON): `before` is the nominal simula
 the patch changes it. Everyday deviations are in neither; they only decide how much of the rest is worth explaining.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

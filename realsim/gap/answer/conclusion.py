@@ -4,8 +4,6 @@ The held-out runs are first looked at in `_checked`. All before it (which causes
 intervals of values) rests on the fitted runs. The verdict is decided with the check, which is therefore a validation.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

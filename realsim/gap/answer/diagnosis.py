@@ -1,7 +1,5 @@
 """What a diagnosis says, in the form of the contract."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -5,8 +5,6 @@ states of the log, a second at most ahead, a right cause predicts better in near
 are predicted by values that were fitted to the other runs.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The diagnosis as changes to a simulator: for plain MuJoCo, for the trainer, and as MJCF where MJCF can say it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from math import log1p

@@ -1,7 +1,5 @@
 """The verdict as one sentence that a person can act on."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What the causes leave, and what it looks like: one regressor a joint, where it explains enough of it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any

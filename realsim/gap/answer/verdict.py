@@ -1,7 +1,5 @@
 """The verdict, with its reasons: from what stays in the fitted runs, and from a check on runs that no fit has seen."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Two logs of one robot as one case: the earlier runs first."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 from realsim.core.errors import GapError, did_you_mean

@@ -5,8 +5,6 @@ the later log has: about those of both, r = G x + [later] G d + [later] H c + e,
 small ones d that come from day to day, and a change c of one effect at one place.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any

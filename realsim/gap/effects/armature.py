@@ -1,7 +1,5 @@
 """The rotor's reflected inertia differs."""
 
-from __future__ import annotations
-
 from realsim.gap.case.model.context import Context
 from realsim.gap.effects.base import EXACT, JOINTS, Edit, Effect, Excitation, Law, Parameter, Place, Words
 from realsim.gap.effects.sizes import size_of_rotor

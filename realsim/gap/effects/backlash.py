@@ -1,7 +1,5 @@
 """Play between motor and link."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from realsim.gap.case.model.context import Context

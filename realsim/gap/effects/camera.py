@@ -1,7 +1,5 @@
 """Effects on camera images: no motion shows them; recorded depth does, against a scene (realsim.gap.checks.camera)."""
 
-from __future__ import annotations
-
 from realsim.core.errors import GapError
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, Where, Words, fixed
 

@@ -1,7 +1,5 @@
 """A body's centre of mass lies elsewhere."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from realsim.gap.case.model.context import Context

@@ -1,7 +1,5 @@
 """The ground gives way more (or less) than the model's."""
 
-from __future__ import annotations
-
 from realsim.gap.case.model.edit import put
 from realsim.gap.effects.base import GROUND, Edit, Effect, Law, Parameter, Place, Words, fixed, on_the_ground
 

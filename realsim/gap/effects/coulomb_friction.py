@@ -1,7 +1,5 @@
 """More (or less) dry friction in a joint."""
 
-from __future__ import annotations
-
 from realsim.gap.case.model.context import Context
 from realsim.gap.effects.base import LOGGED, Edit, Effect, Excitation, Parameter, Place, Rivals, Suggestion, Words
 from realsim.gap.effects.sizes import size_of_dry_friction

@@ -1,7 +1,5 @@
 """Delays, of commands or of readings, which are one thing where only joints are compared; and lags of actuators."""
 
-from __future__ import annotations
-
 from realsim.gap.case.model.context import Context
 from realsim.gap.effects.base import (
     EVERYWHERE,

@@ -1,7 +1,5 @@
 """Something pulls or pushes that the model does not know."""
 
-from __future__ import annotations
-
 from realsim.gap.case.model.context import Context
 from realsim.gap.case.model.edit import EVER, NEAR, Pulse
 from realsim.gap.effects.base import (

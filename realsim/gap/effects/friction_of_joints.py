@@ -1,7 +1,5 @@
 """Friction of the whole robot: every joint has its own, and all of them are one cause."""
 
-from __future__ import annotations
-
 from realsim.gap.case.model.context import Context
 from realsim.gap.effects import coulomb_friction, viscous_friction
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, Where, Words

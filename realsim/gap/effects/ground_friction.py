@@ -1,7 +1,5 @@
 """The feet slip earlier or later than in the model."""
 
-from __future__ import annotations
-
 from realsim.gap.case.model.edit import put
 from realsim.gap.effects.base import GROUND, Edit, Effect, Law, Place, Words, on_the_ground, relative
 

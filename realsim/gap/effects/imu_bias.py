@@ -1,7 +1,5 @@
 """The IMU reads a constant too much."""
 
-from __future__ import annotations
-
 from realsim.gap.case.model.context import Context
 from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Law, Parameter, Place, Where, Words
 

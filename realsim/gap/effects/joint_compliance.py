@@ -1,7 +1,5 @@
 """A spring between motor and link."""
 
-from __future__ import annotations
-
 from realsim.gap.case.model.context import Context
 from realsim.gap.case.model.edit import put
 from realsim.gap.effects.base import JOINTS, Edit, Effect, Excitation, Law, Parameter, Place, Words

@@ -1,7 +1,5 @@
 """The encoder's zero is wrong."""
 
-from __future__ import annotations
-
 from realsim.gap.case.model.context import Context
 from realsim.gap.effects.base import (
     EXACT,

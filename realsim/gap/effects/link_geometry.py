@@ -1,7 +1,5 @@
 """A link is longer or shorter than in the model."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from realsim.gap.case.model.context import Context

@@ -1,7 +1,5 @@
 """A body's rotational inertia differs."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

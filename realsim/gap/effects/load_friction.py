@@ -1,7 +1,5 @@
 """Dry friction in proportion to the transmitted torque."""
 
-from __future__ import annotations
-
 import math
 
 from realsim.gap.case.model.context import Context

@@ -1,7 +1,5 @@
 """Effects, nuisances, and changes of either between two logs of one robot, by name."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """The actuator gives more or less force than commanded."""
 
-from __future__ import annotations
-
 import math
 
 from realsim.gap.case.model.context import Context

@@ -1,7 +1,5 @@
 """A mass that the model does not know."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from realsim.gap.case.model.context import Context

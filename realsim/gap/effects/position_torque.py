@@ -1,7 +1,5 @@
 """A torque that goes with the position: a cable, a spring, cogging, gravity that the model does not know."""
 
-from __future__ import annotations
-
 from realsim.gap.case.model.context import Context
 from realsim.gap.effects.base import JOINTS, Distinction, Edit, Effect, Excitation, Parameter, Place, Words
 

@@ -3,8 +3,6 @@
 Each function gives the largest plausible coordinate of a parameter at a place, and what that is in words.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from realsim.gap import figures

@@ -1,7 +1,5 @@
 """The position gain of the servo differs."""
 
-from __future__ import annotations
-
 import math
 
 from realsim.gap.case.model.context import Context

@@ -1,7 +1,5 @@
 """Friction that is higher at rest and in slow motion."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from realsim.gap.case.model.context import Context

@@ -1,7 +1,5 @@
 """A piece of terrain is higher or lower than in the model."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from realsim.gap.effects.base import EXACT, SUPPORTS, Edit, Effect, Law, Parameter, Place, Words, fixed, on_the_ground

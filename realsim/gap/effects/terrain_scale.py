@@ -1,7 +1,5 @@
 """The terrain as a whole is larger or smaller than in the model."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from realsim.gap.effects.base import EXACT, Edit, Effect, Law, Place, Where, Words, on_the_ground, relative

@@ -1,7 +1,5 @@
 """The ground (or the mount of a fixed base) is not level."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from realsim.core.types import F64

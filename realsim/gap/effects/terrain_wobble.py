@@ -1,7 +1,5 @@
 """A support that moves under load."""
 
-from __future__ import annotations
-
 from realsim.gap.case.model.context import Context
 from realsim.gap.effects.base import SUPPORTS, Edit, Effect, Law, Parameter, Place, Words, on_the_ground
 

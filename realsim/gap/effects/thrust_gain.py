@@ -1,7 +1,5 @@
 """Rotors, propellers or jets give more or less thrust than the model's."""
 
-from __future__ import annotations
-
 import math
 
 from realsim.gap.case.model.context import Context

@@ -1,7 +1,5 @@
 """The drive saturates earlier than the model says, or, where the model's saturates, later."""
 
-from __future__ import annotations
-
 from realsim.gap.case.model.context import Context
 from realsim.gap.effects.base import JOINTS, Edit, Effect, Excitation, Law, Parameter, Place, Words
 

@@ -1,7 +1,5 @@
 """The torque that is left falls with speed (back-EMF)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from realsim.gap.case.model.context import Context

@@ -1,7 +1,5 @@
 """More (or less) friction in proportion to speed."""
 
-from __future__ import annotations
-
 import math
 
 from realsim.gap.case.model.context import Context

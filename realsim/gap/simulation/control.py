@@ -1,7 +1,5 @@
 """What goes into a simulation step by step, and what is taken out of it: controls, switches, tracks of the signals."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

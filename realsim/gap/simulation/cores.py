@@ -1,7 +1,5 @@
 """Simulations on all cores, and the last of them by what they were of."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor

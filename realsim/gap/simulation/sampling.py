@@ -1,7 +1,5 @@
 """Signals between two grids of time: held commands averaged, readings interpolated, rotations as vectors."""
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """One run: in one go, or step by step for laws that change the model as it moves (friction that goes with the load)."""
 
-from __future__ import annotations
-
 import copy
 import threading
 from collections.abc import Callable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Fit causes with the full nonlinear simulation; the small deviations are marginalised on the way."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial

@@ -1,7 +1,5 @@
 """The values of causes: Gauss-Newton over rollouts."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Self, TypeVar

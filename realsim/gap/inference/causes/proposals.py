@@ -1,7 +1,5 @@
 """Where the search looks next: functions of one signature, from a set of causes to sets that may explain more."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """The score of a set of causes, what speaks against a further cause, and when two sets explain the runs alike."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -4,8 +4,6 @@ The neighbours of the best set are fitted: with one cause less, with one more, w
 cause's place. One that has a lower score, and against which nothing speaks, becomes the best set, and so on.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial

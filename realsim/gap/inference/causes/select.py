@@ -1,7 +1,5 @@
 """From the linear screen to the causes: the search, and what each cause brings."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass

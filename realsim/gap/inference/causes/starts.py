@@ -1,7 +1,5 @@
 """Values from which a fit begins, and how the forms of a law contain each other."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from realsim.core.types import F64

@@ -1,7 +1,5 @@
 """When a force acts: windows of time in which a constant force would explain what is left."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -8,8 +8,6 @@ Both come from inverse dynamics along the motion estimated from the log, so noth
   effects stay in the legs' rows.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

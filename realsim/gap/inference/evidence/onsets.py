@@ -4,8 +4,6 @@ A person who bumps into a robot does so at another time in every run, and in som
 force, so that its time is read off each log like a contact, and only its size and length are fitted.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -4,8 +4,6 @@ How the error grows with the horizon is a signature. An error that is there at o
 in proportion to time is a delay or a wrong velocity; one that grows with its square is a missing force.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

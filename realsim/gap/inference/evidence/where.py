@@ -1,7 +1,5 @@
 """Where the gap lies: shares of the squared error by signal, joint and phase of motion, and what else tells."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

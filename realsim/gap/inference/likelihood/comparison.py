@@ -1,7 +1,5 @@
 """Difference between log and simulator: bins, noise floor, weights."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache

@@ -4,8 +4,6 @@ A drone's controller answers gusts, its own wake and the drag of its rotors, non
 replay such a push is as steady as a cause is, but it differs from second to second, and a cause does not.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any

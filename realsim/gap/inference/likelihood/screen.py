@@ -5,8 +5,6 @@ x is small for the deviations that every robot has (prior sizes from the effects
 selection needs is in A = G'WG, b = G'Wr, c = r'Wr of each run.
 """
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
