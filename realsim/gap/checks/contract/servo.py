@@ -35,21 +35,21 @@ def check_gains(contract: Contract, steps: Steps) -> str | None:
     # A drive reports the torque of a moment between two rows: the one that explains all joints best.
     moments = [_rows(contract, runs, order, late, age) for late in (0, 1) for age in AGES]
     rows = min(moments, key=_left)
-    kp, kd, off, believed = np.ones(n), np.ones(n), np.zeros(n, bool), np.zeros(n, bool)
+    kp, kd, off, explained = np.ones(n), np.ones(n), np.zeros(n, bool), np.zeros(n, bool)
     for i, (x, y) in enumerate(rows):
         floor = max(FLOOR * float(np.std(y)), 1e-9)
         found = _gains(x, y, floor)
         after = _scale(y - x @ found, floor)
         # A damping that readings of another moment explain as well is none: kp times the way of a part of a row.
         before = min(_scale(m[i][1] - m[i][0].sum(axis=1), floor) for m in moments)
-        believed[i] = after < EXPLAINED * max(float(np.std(y)), 1e-9) and _resolved(runs, order[i])
-        off[i] = believed[i] and np.log(before / after) > PRICE
+        explained[i] = after < EXPLAINED * max(float(np.std(y)), 1e-9)
+        off[i] = explained[i] and _resolved(runs, order[i]) and np.log(before / after) > PRICE
         # No difference: an interval of three sigma that includes 1, or less than the share that the law leaves.
         least = np.maximum(
             max(SAME, after / max(float(np.std(y)), 1e-9)), 3 * after * np.sqrt(np.diag(np.linalg.pinv(x.T @ x)))
         )
         kp[i], kd[i] = (v if abs(v - 1) > s else 1.0 for v, s in zip(found, least, strict=True))
-    if believed.sum() < 0.5 * n:
+    if explained.sum() < 0.5 * n:  # these torques are another law's
         return None
     kp, kd = np.where(off, kp, 1.0), np.where(off, kd, 1.0)
     words = [
