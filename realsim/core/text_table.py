@@ -29,12 +29,16 @@ BLOCK = 50_000
 PREAMBLE = 60
 """Lines in which the numbers must begin."""
 ENCODINGS = ("utf-8-sig", "cp1252")
-"""In the order in which they are tried; cp1252 is what spreadsheets on Windows write, in China gb18030."""
-CHINESE = "gb18030"
+"""In the order in which they are tried; cp1252 is what spreadsheets on Windows write,
+in China gb18030, in Japan cp932."""
+CHINESE, JAPANESE = "gb18030", "cp932"
 EMPTY = ("", "nan", "null", "none", "na", "n/a", "-")
 """How a cell says that there is no number."""
 _BLANKS = re.compile(r"(?:^#)?[ ]+")
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
+_DURATION = re.compile(r"([-+]?\d+(?:[.,]\d+)?(?:[eE][-+]?\d+)?) (sec|s|ms|min|hr)")
+"""As MATLAB writes the times of a timetable."""
+_SECONDS = {"sec": 1.0, "s": 1.0, "ms": 1e-3, "min": 60.0, "hr": 3600.0}
 _MOMENT = re.compile(r"(?:(\d{4}-\d\d-\d\d)[T ])?(\d{1,2}):(\d\d):(\d\d(?:[.,]\d+)?)(?:Z|[+-]\d\d:?\d\d)?")
 
 
@@ -130,12 +134,25 @@ def first_lines(path: Path) -> list[str]:
 
 def begin(lines: Sequence[str]) -> tuple[str, int]:
     """(what parts the cells, the first line of numbers); the number of lines where none is."""
+    found, filled = [], [line for line in lines if line.strip()]
     for k, line in enumerate(lines):
         for delimiter in (*sorted(",;\t", key=line.count, reverse=True), " "):
-            filled = [c for c in _split(line, delimiter) if c.strip()]
-            if len(filled) > 1 and sum(_cell(c) is not None for c in filled) >= max(2, 0.5 * len(filled)):
-                return delimiter, k
-    return max(",;\t", key=lines[0].count) if lines else ",", len(lines)
+            if _is_numbers(line, delimiter):
+                found.append((delimiter, k))
+                break
+    for delimiter, k in found:  # figures above the header, such as when it was recorded, do not go on below
+        at = sum(bool(line.strip()) for line in lines[:k])
+        around = [len(_split(line, delimiter)) for line in filled[max(at - 1, 0) : at + 3]]
+        header = at > 0 and not _is_numbers(filled[at - 1], delimiter)
+        goes_on = all(_is_numbers(line, delimiter) for line in filled[at + 1 : at + 3])
+        if header and goes_on and len(around) == 4 and len(set(around)) == 1:
+            return delimiter, k
+    return found[0] if found else (max(",;\t", key=lines[0].count) if lines else ",", len(lines))
+
+
+def _is_numbers(line: str, delimiter: str) -> bool:
+    filled = [c for c in _split(line, delimiter) if c.strip()]
+    return len(filled) > 1 and sum(_cell(c) is not None for c in filled) >= max(2, 0.5 * len(filled))
 
 
 def cells(path: Path, name: str, values: Sequence[Any], numbers: Sequence[int] = ()) -> F64 | None:
@@ -179,12 +196,12 @@ def _empty(value: Any) -> bool:
 
 
 def _encoding(path: Path) -> str:
-    """UTF-16 by its mark, as Excel writes it; GB 18030 by its pairs of bytes; else nothing."""
+    """UTF-16 by its mark, as Excel writes it; GB 18030 and Shift JIS by their pairs of bytes; else nothing."""
     with path.open("rb") as file:
         data = file.read(65536)
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return "utf-16"
-    return CHINESE if _is_chinese(data) else ""
+    return CHINESE if _is_chinese(data) else JAPANESE if _is_japanese(data) else ""
 
 
 def _is_chinese(data: bytes) -> bool:
@@ -201,6 +218,22 @@ def _is_chinese(data: bytes) -> bool:
     except UnicodeDecodeError:
         frequent = [pair for pair in pairs if 0xB0 <= pair[0] <= 0xD7 and pair[1] >= 0xA1]
         return len(set(frequent)) > 1 and len(frequent) >= 0.8 * len(pairs)
+    return False
+
+
+def _is_japanese(data: bytes) -> bool:
+    """Whether text is in Shift JIS: nearly all of its pairs are kana or frequent characters, which begin with bytes
+    that are rare signs in cp1252."""
+    whole = data[: data.rfind(b"\n") + 1]
+    try:
+        whole.decode("utf-8")
+    except UnicodeDecodeError:
+        try:
+            found = [c for c in whole.decode(JAPANESE) if ord(c) > 127]
+        except UnicodeDecodeError:
+            return False
+        frequent = [c for c in found if len(b := c.encode(JAPANESE)) == 2 and 0x81 <= b[0] <= 0x97]
+        return len(frequent) > 1 and len(frequent) >= 0.8 * len(found)
     return False
 
 
@@ -266,15 +299,26 @@ def _rows(path: Path, lines: Iterator[str], delimiter: str, above: int) -> Itera
 def _header(
     path: Path, above: Sequence[str], delimiter: str, width: int, unit: Callable[[str], str]
 ) -> list[str] | None:
-    """Names of the columns from the lines above the numbers: the last of as many cells, with a line of units."""
+    """Names of the columns from the lines above the numbers of as many cells: the last, with a line of units; of
+    several levels (`q,q,tau` above `hip,knee,hip`) all that it takes to tell the columns apart."""
     rows = [_split(line.lstrip("# "), delimiter) for line in above]
     rows = [[c.strip() for c in row] for row in rows if len(row) == width or not width]
     if not rows:
         return None
-    header = rows[-1]
+    pairs = [row[1::2] for row in rows if width > 2 and len(set(row[::2])) == 1]
+    if len(pairs) == len(rows) > 2 and (lists := list(filter(_differ, pairs))):  # TwinCAT: Name,a,Name,b above t,a,t,b
+        names = max(lists, key=lambda found: sum(map(len, found)))
+        return [text for name in names for text in (f"{name} time", name)]
+    header = rows.pop()
     units = [unit(c.strip("[]()")) for c in header]
-    if len(rows) > 1 and all(u or not c or c in ("-", "[-]") for u, c in zip(units, header, strict=True)):
-        header = [f"{name} [{u}]" if u else name for name, u in zip(rows[-2], units, strict=True)]
+    known = [bool(u) for u, c in zip(units, header, strict=True) if c and c not in ("-", "[-]")]
+    if rows and (
+        all(known) or (len(set(rows[-1])) == width and sum(known) >= 0.5 * len(known) and not _differ(header))
+    ):
+        header = [f"{name} [{u}]" if u else name for name, u in zip(rows.pop(), units, strict=True)]
+    while rows and not _differ(header):
+        above_it = rows.pop()
+        header = [" ".join(filter(None, pair)) for pair in zip(above_it, header, strict=True)]
     twice = sorted({h for h in header if h and header.count(h) > 1})
     if twice:
         raise GapError("the header names a column twice", file=path, found=", ".join(twice)[:200],
@@ -282,7 +326,12 @@ def _header(
     return header
 
 
-def _text(text: str) -> float | None:
+def _differ(names: Sequence[str]) -> bool:
+    """Whether they can be names of columns: all differ, and at most one, a table's index, is empty."""
+    return len(set(names)) == len(names)
+
+
+def number(text: str) -> float | None:
     """A number as written, also with a decimal comma; a date and time, or a time of day, as s; None for other text."""
     try:
         return float(text)
@@ -297,6 +346,8 @@ def _text(text: str) -> float | None:
         except ValueError:  # a thirteenth month
             return None
         return since + 3600.0 * int(hours) + 60.0 * int(minutes) + float(seconds.replace(",", "."))
+    if duration := _DURATION.fullmatch(text):
+        return float(duration[1].replace(",", ".")) * _SECONDS[duration[2]]
     return {"true": 1.0, "false": 0.0, "nan": np.nan}.get(text.lower())
 
 
@@ -305,7 +356,7 @@ def _cell(value: Any) -> float | list[float] | None:
     if isinstance(value, str):
         text = value.strip()
         if not text.startswith(("[", "(")):
-            return _text(text)
+            return number(text)
         inner = text.strip("[]() ")
         value = inner.replace(";", ",").split(",") if "," in inner or ";" in inner else inner.split()
     if isinstance(value, (bool, int, float, np.number)):

@@ -164,7 +164,7 @@ def enabled(e: Evidence) -> None:
 
 def _best(e: Evidence, found: Sequence[Candidate], wanted: str) -> Candidate | None:
     """Of the command's kind that the model takes, before others; then the nearest to the joints' topic."""
-    for kinds in ((f"command.{wanted}", "command"), ("command.position", "command.velocity", "command.torque")):
+    for kinds in ((f"command.{wanted}",), ("command",), ("command.position", "command.velocity", "command.torque")):
         ranked = [c for c in found if c.role in kinds and columns_for(e, c)[0]]
         if ranked:
             return e.nearest(ranked)

@@ -15,6 +15,7 @@ from realsim.gap.recordings.names import is_electric, known_type, match_joints, 
 from realsim.gap.recordings.proposal import Candidate
 from realsim.gap.recordings.recording import Field
 from realsim.gap.recordings.signals import at, smooth_derivatives
+from realsim.gap.recordings.vocabulary import english
 
 TICKS = 4096
 """Steps a turn of hobby servos' encoders (Dynamixel X, Feetech STS)."""
@@ -96,7 +97,13 @@ def _best_positions(e: Evidence, found: Sequence[Candidate]) -> Candidate | None
         counts = {c.label: _known(e.target, e.of(c)[1]) for c in found}
         best = max(counts.values())
         ranked = [c for c in found if counts[c.label] == best]
-    ranked.sort(key=lambda c: (c.role != "joint_pos", rawness(c.member), -len(e.of(c)[0]), c.label))
+    moved = {c.label: len(ranked) < 2 or _moved_by(e, c) for c in ranked}
+    ranked.sort(
+        key=lambda c: (
+            c.role != "joint_pos", "position" not in english(c.member), not moved[c.label], rawness(c.member),
+            -len(e.of(c)[0]), c.label,
+        )
+    )  # fmt: skip
     first = ranked[0]
     for other in ranked[1:]:
         if other.stream != first.stream and e.stream(other).type == e.stream(first).type:
@@ -104,6 +111,19 @@ def _best_positions(e: Evidence, found: Sequence[Candidate]) -> Candidate | None
             if labels[0] == labels[1] and not e.same_robot(first, other):
                 raise two_robots(e.recording, first, other)
     return first
+
+
+def _moved_by(e: Evidence, source: Candidate) -> bool:
+    """Whether a field of its stream is the slope of this one: what `q_current` is, a name does not tell."""
+    time, field = e.of(source)
+    for other in e.candidates:
+        if other.role == "joint_vel" and other.stream == source.stream and e.of(other)[1].width == field.width:
+            speed = e.of(other)[1].values
+            pairs = (travelled(time, field.values[:, k], speed[:, k]) for k in range(field.width))
+            found = [abs(alike(sums, moved)) for moved, sums in pairs if len(moved) and np.nanstd(moved) > 1e-4]
+            if found and np.median(found) > SLOPE:
+                return True
+    return False
 
 
 def _known(target: Target, field: Field) -> int:
@@ -227,7 +247,8 @@ def _unit(ranges: F64, values: F64, declared: str) -> tuple[str, float, str]:
     score = {u: shares[u] + 0.3 * _filling(ranges, v) for u, v in read.items()}
     usual = declared if declared in score else "rad"
     best = max(score, key=lambda u: score[u])
-    unit = best if score[best] > score[usual] + CLEAR else usual
+    fits = not declared and not steps and shares[usual] > SURELY  # small motion in rad fills more as turns
+    unit = best if score[best] > score[usual] + CLEAR and not fits else usual
     if unit == "ticks":
         return unit, TICKS / 2, in_steps
     why = f"in {unit}: {shares[unit]:.0%} of the samples within the joints' ranges"
@@ -362,16 +383,17 @@ def torque(e: Evidence) -> None:
     """Joint torques, by inverse dynamics (a fixed base) or only by name."""
     if "joint_pos" not in e.proposal.assignments or "joint_torque" in e.proposal.assignments:
         return
-    source = e.nearest(_with_samples(e, e.candidates_for("joint_torque")))
-    if source is None:
-        return
-    columns, names, how = columns_for(e, source)
-    if len(columns) < len(e.proposal.joints):
+    found = e.ranked(_with_samples(e, e.candidates_for("joint_torque")))
+    for source in sorted(found, key=lambda c: is_electric(c.member)):
+        columns, names, how = columns_for(e, source)
+        if len(columns) < len(e.proposal.joints):
+            continue
+        if np.nanstd(e.of(source)[1].values[:, columns]) > 0:
+            break
+        e.warn(f"{source.label} never changes: it is left out")
+    else:
         return
     time, field = e.of(source)
-    if not np.nanstd(field.values[:, columns]) > 0:
-        e.warn(f"{source.label} never changes: it is left out")
-        return
     current = is_electric(source.member)
     evidence = [f"by {source.why}", how]
     if current:
@@ -385,8 +407,10 @@ def torque(e: Evidence) -> None:
         rows, tau = need
         logged = field.values[rows][:, columns]
         corrs = np.array([alike(logged[:, k], tau[:, k]) for k in range(len(names))])
-        ratio = float(np.nanmedian([factor(logged[:, k], tau[:, k]) for k in range(len(names))]))
+        factors = [f for k in range(len(names)) if np.isfinite(f := factor(logged[:, k], tau[:, k]))]
+        ratio = float(np.median(factors)) if factors else np.nan
         scale, unit, text, doubtful = _torque_unit(ratio, corrs, source.unit, current)
+        doubtful |= unit != (source.unit or "N m") and e.proposal.assignments["joint_pos"].doubtful
     e.settle("joint_torque", source, columns, names, [*evidence, text], scale=scale, unit=unit, doubtful=doubtful)
     e.proposal.torque_kind = "current_times_constant" if current else "measured"
 

@@ -47,17 +47,18 @@ TYPES: dict[str, dict[str, tuple[str, str]]] = {
     "sensor_combined": {"gyro_rad": ("imu_gyro", "rad/s"), "accelerometer_m_s2": ("imu_acc", "m/s^2")},
 }  # fmt: skip
 
-IN_TURNS = {"pos_estimate": "rev", "vel_estimate": "rev/s"}
+IN_TURNS = {"pos_estimate": "rev", "vel_estimate": "rev/s", "input_pos": "rev", "input_vel": "rev/s"}
+IN_TURNS |= {"pos_vel_mapper_pos": "rev", "pos_vel_mapper_vel": "rev/s"}
 """Names of an ODrive's signals, which count turns (docs.odriverobotics.com, ODrive.Axis)."""
 _NOT = {
     word
     for words in (
         "error temperature voltage raw ddq qdd kp kd ki limit limits min max power fric friction gravity",
-        "grav comp compensation ff feedforward std var status mode",
+        "grav comp compensation ff feedforward std var status mode tcp tool ee eef flange cartesian",
     )
     for word in words.split()
 }
-"""Words of what is no signal of a joint: bounds, settings, and parts of a command that a controller adds."""
+"""Words of what is no signal of a joint: bounds, settings, parts of a command that a controller adds, the tool."""
 _WORDS: tuple[tuple[str, str], ...] = (
     ("enabled", r"(^|_)(torque_enabled?|torque_on|joint_enabled?|drives?_enabled?|enabled)(_|$)"),
     ("imu_acc", r"(^|_)(acc|accel|accelerometer|accelerations?_(linear|imu)|linear_accelerations?|imu_acc)(_|$)"),
@@ -216,4 +217,4 @@ def match_joints(labels: Sequence[str], joints: Sequence[str]) -> dict[int, str]
 def _core(name: str) -> list[str]:
     """The words of a joint's name, without `joint`, `motor`, `pos`."""
     found = [w for w in english(name) if w not in ("joint", *SIGNALS)]
-    return found if any(not w.isdigit() for w in found) else list(english(name))
+    return found if any(not w.isdigit() for w in found) else [w for w in english(name) if w not in SIGNALS]

@@ -39,6 +39,7 @@ def held(times: F64, values: F64, wanted: F64) -> F64:
 
 def follows(times: F64, asked: F64, done: F64) -> tuple[float, float, float, float]:
     """(correlation, s of lag, gain, offset) with which one signal (T,) follows another best; zeros for two samples."""
+    times, asked, done = (x[np.isfinite(times)] for x in (times, asked, done))
     if len(times) < 3:
         return 0.0, 0.0, np.nan, np.nan
     step = max(float(np.median(np.diff(times))), 1e-3)

@@ -53,6 +53,36 @@ def table(path: Path, name: str, columns: Mapping[str, F64], *, window: Window =
     return Stream(name, "table", {n: v[keep] for n, v in clocks.items()}, kept)
 
 
+def by_topic(path: Path, columns: Mapping[str, F64], window: Window = WHOLE) -> tuple[Stream, ...]:
+    """The streams of a table: one; or, where each row fills the cells of one topic alone, one a topic (PlotJuggler)."""
+    whole = {n: v for n, v in columns.items() if np.isfinite(v).all()}
+    clock = next((n for n in whole if is_clock(n)), "")
+    groups: dict[bytes, list[str]] = {}
+    for name, values in columns.items():
+        if name not in whole and values.ndim == 1:
+            groups.setdefault(np.isfinite(values).tobytes(), []).append(name)
+    rows = [np.frombuffer(mask, dtype=bool) for mask in groups]
+    if not clock or len(groups) < 2 or (np.sum(rows, axis=0) > 1).mean() > 1 - EVEN:
+        return (table(path, "", columns, window=window),)
+    streams, usual = [], max(mask.sum() for mask in rows)
+    for mask, names in zip(rows, groups.values(), strict=True):
+        if mask.sum() > (1 - EVEN) * usual:  # beside words of a state that changes now and then
+            topic = names[0][: max(names[0].find("/", 1), 0)]
+            cells_of = {n: columns[n][mask] for n in (clock, *names)}
+            streams.append(table(path, topic or names[0], cells_of, window=window))
+    return tuple(streams)
+
+
+def on_one_clock(signals: Mapping[str, tuple[Sequence[float] | F64, Sequence[float] | F64]]) -> dict[str, F64]:
+    """Signals with clocks of their own, (times, values) each, as columns of one table; missing where they have none."""
+    stamps = np.unique(np.concatenate([np.asarray(t) for t, _ in signals.values()]))
+    found = {"time": stamps}
+    for name, (times, values) in signals.items():
+        first = np.unique(np.asarray(times), return_index=True)
+        found[name] = _where_stamped(first[0], np.asarray(values)[first[1], None], stamps)[:, 0]
+    return found
+
+
 def labelled(
     path: Path,
     clock: Mapping[str, F64],
@@ -199,7 +229,14 @@ def grouped(scalars: Mapping[str, F64]) -> dict[str, Field]:
     """Columns (T,) as fields: `acc_x acc_y acc_z`, `q_0 q_1`, `FL_hip_pos FL_calf_pos`; others stay alone."""
     left = dict(scalars)
     found: dict[str, Field] = {}
-    for group, labels, stem in (*_by_axis(left), *_by_index(left), *_by_place(left)):
+    places = _by_place(left)
+    among = [set(group.values()) for group, *_ in places]  # wrist_1_joint is a joint among others, q_1 is not
+    indexed = [
+        g
+        for g in _by_index(left)
+        if split_unit(g[1][0])[0].rstrip(")] ")[-1].isdigit() or not any(set(g[0].values()) < wide for wide in among)
+    ]
+    for group, labels, stem in (*_by_axis(left), *indexed, *places):
         members = [m for m in group.values() if m in left]
         if len(members) < len(group) or len(members) < 2:
             continue
@@ -241,18 +278,31 @@ def _by_index(names: Mapping[str, Any]) -> _Groups:
 
 def _by_place(names: Mapping[str, Any]) -> _Groups:
     """Columns of which every name is a place and the same words of a signal: hip_pos, knee_pos; Knie_ist, Knie_soll."""
-    stems: dict[tuple[tuple[str, ...], str], dict[str, str]] = {}
+    stems: dict[tuple[str, tuple[str, ...], str], dict[str, str]] = {}
     for name in names:
-        parts, unit = english(name), split_unit(name)[1]
+        topic = name[: name.find("/", 1) + 1] if name.startswith("/") else ""
+        parts, unit = english(name[len(topic) :]), split_unit(name)[1]
         signal = tuple(w for w in parts if w in SIGNALS)
         place = "_".join(w for w in parts if w not in SIGNALS)
         if (signal or unit) and place:
-            stems.setdefault((signal, unit), {})[place] = name
+            stems.setdefault((topic, signal, unit), {})[place] = name
     return [
-        (found, tuple(found), _named("_".join(signal), unit))
-        for (signal, unit), found in stems.items()
+        (found, tuple(found), topic + _named("_".join(signal), unit))
+        for (topic, signal, unit), found in stems.items()
         if len(found) >= 2
     ]
+
+
+def by_signal(name: str, field: Field) -> dict[str, Field]:
+    """A field whose columns are several signals of each joint (`knee.pos`, `knee.vel`) as one field a signal."""
+    groups = _by_place(dict.fromkeys(field.labels))
+    if len(groups) < 2 or sum(len(group) for group, *_ in groups) < field.width:
+        return {name: field}
+    at_ = {label: k for k, label in enumerate(field.labels)}
+    return {
+        f"{name}.{stem}": Field(field.values[:, [at_[m] for m in group.values()]], tuple(group), field.unit)
+        for group, _, stem in groups
+    }
 
 
 def _named(stem: str, unit: str) -> str:

@@ -132,7 +132,11 @@ def missing(case: Case) -> tuple[dict[str, float], Said]:
              for k, first in case.runs[0].signals.items() if first.size}  # fmt: skip
     found = {k: v for k, v in found.items() if v > 0}
     if found.get("joint_pos", 0) > 0.7:
-        raise GapError("most joint positions are missing", file=case.folder, found=f"{found['joint_pos']:.0%} are NaN")
+        raise GapError(
+            "most joint positions are missing", file=case.folder, expected="a position in at least 30 % of the rows",
+            found=f"{found['joint_pos']:.0%} are missing",
+            hint="record positions as often as commands, at 50 Hz or more; check that their columns are the right ones",
+        )  # fmt: skip
     said = [f"{share:.0%} of {name} is missing" for name, share in found.items() if share > 0.05]
     partly = sorted({k for r in case.runs for k in r.signals if not all(k in s.signals for s in case.runs)})
     return found, said + [f"{name} is not in every run, so it is not compared" for name in partly]

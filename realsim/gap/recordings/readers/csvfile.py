@@ -1,5 +1,7 @@
 """Tables of text, however their cells are parted (`realsim.core.text_table`)."""
 
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,8 +9,8 @@ import numpy as np
 from realsim.core.errors import GapError
 from realsim.core.text_table import TextTable, begin, first_lines, read_text_table
 from realsim.gap.recordings.recording import Reader, Recording, Stream, Window, no_samples, refuse_more
-from realsim.gap.recordings.tables import a_column_a_joint, labelled, table
-from realsim.gap.recordings.vocabulary import split_unit
+from realsim.gap.recordings.tables import a_column_a_joint, by_topic, labelled, on_one_clock
+from realsim.gap.recordings.vocabulary import plain, split_unit
 
 SUFFIXES = (".csv", ".tsv", ".txt", ".log", ".dat")
 
@@ -31,15 +33,30 @@ def read(path: Path, window: Window) -> list[Recording]:
     if not columns:
         raise no_samples(path, "a header and one row per sample")
     notes = list(found.notes)
+    timed = {n: (columns[f"{n} time"], v) for n, v in columns.items() if f"{n} time" in columns}
+    if timed and 2 * len(timed) == len(columns):  # each has a clock of its own
+        columns = on_one_clock({n: (t[np.isfinite(t)], v[np.isfinite(t)]) for n, (t, v) in timed.items()})
     stream = None if found.header else _echoed(path, found, window)
     if stream is None and (fields := a_column_a_joint(columns, found.words, notes)):
         stream = labelled(path, *fields, window)
-    elif stream is None:
+    streams: tuple[Stream, ...] = () if stream is None else (stream,)
+    if not streams:
         notes += [f"columns of text left out: {', '.join(dropped[:8])}"] if dropped else []
-        stream = table(path, "", columns, window=window)
+        streams = tuple(_called(s, found.words) for s in by_topic(path, columns, window))
     odd = {n: cell for n, (cell, _) in found.odd.items() if n in columns}
     notes += [f"{path.name}: {n} has values that are no numbers, the first is {c!r}" for n, c in odd.items()]
-    return [Recording(path, path.stem, "csv", (stream,), notes=tuple(notes))]
+    return [Recording(path, path.stem, "csv", streams, notes=tuple(notes))]
+
+
+def _called(stream: Stream, words: Mapping[str, Sequence[str]]) -> Stream:
+    """With the names of joints that stand in columns of text of their own, one word each: `rostopic echo -p`."""
+    lists: dict[str, list[str]] = {}
+    for name, cells_of in words.items():
+        if len(set(cells_of)) == 1 and "name" in plain(name.rstrip("0123456789[]._")).split("_")[-1]:
+            lists.setdefault(name.rstrip("0123456789[]._"), []).append(cells_of[0])
+    names = next((tuple(n) for n in lists.values() if len(set(n)) == len(n) > 1), ())
+    fields = {n: replace(f, labels=names) if names and f.width == len(names) else f for n, f in stream.fields.items()}
+    return replace(stream, fields=fields)
 
 
 def _echoed(path: Path, found: TextTable, window: Window) -> Stream | None:

@@ -24,6 +24,7 @@ from realsim.gap.recordings.recording import (
     readable,
     refuse_more,
 )
+from realsim.gap.recordings.tables import by_signal
 
 INDICES = ("timestamp", "episode_index", "frame_index", "index", "task_index")
 MAX_EPISODES = 200
@@ -67,7 +68,9 @@ def read(path: Path, window: Window) -> list[Recording]:
         clock = whole["timestamp"][rows] if "timestamp" in whole else rows / float(info.get("fps", 30))
         keep = in_window(clock, window)
         if keep.any():
-            parts_of = {n: Field(v[rows[keep]], labels[n]) for n, v in fields.items()}
+            parts_of = {
+                m: f for n, v in fields.items() for m, f in by_signal(n, Field(v[rows[keep]], labels[n])).items()
+            }
             stream = Stream("", "lerobot", {"timestamp": clock[keep]}, parts_of)
             found.append(Recording(path, f"episode_{int(episode):06d}", "lerobot", (stream,), skipped, notes, facts))
     if not found:

@@ -20,6 +20,10 @@ from realsim.gap.recordings.recording import (
 )
 from realsim.gap.recordings.tables import as_long_as_most, table
 
+MAX_ROBOTS = 12
+"""Robots of one dump that are read, each as a run."""
+STEPS = ("step_dt", "control_dt", "dt")
+"""Names of the s between two samples, of an archive without a clock."""
 NAMES = ("cols", "columns", "names", "header")
 
 
@@ -31,16 +35,41 @@ def read(path: Path, window: Window) -> list[Recording]:
     for name, text in texts.items():
         if text.ndim == 0:
             facts |= _said(name, str(text))
+    if worlds := _worlds(numbers):
+        return [
+            replace(_recording(path, w, texts, facts, window), name=f"{path.stem}_{k}") for k, w in enumerate(worlds)
+        ]
+    return [_recording(path, numbers, texts, facts, window)]
+
+
+def _worlds(numbers: dict[str, F64]) -> list[dict[str, F64]]:
+    """Of arrays (T, robots, K), as a vectorised simulator dumps them, those of each robot; nothing of other ones."""
+    deep = {n: v for n, v in numbers.items() if v.ndim == 3}
+    sides = {v.shape[:2] for v in deep.values()}
+    if len(deep) < 2 or len(sides) > 1:
+        return []
+    ((_, count),) = sides
+    flat = {n: v for n, v in numbers.items() if v.ndim < 3}
+    return [{n: np.asarray(v[:, k]) for n, v in deep.items()} | flat for k in range(min(count, MAX_ROBOTS))]
+
+
+def _recording(
+    path: Path, numbers: dict[str, F64], texts: dict[str, Any], facts: dict[str, Any], window: Window
+) -> Recording:
     columns = _table(numbers, texts) or as_long_as_most(numbers)
     if not columns:
-        raise no_samples(path, "arrays with a row a sample", {n: str(v.shape) for n, v in arrays.items()})
+        raise no_samples(path, "arrays with a row a sample", {n: str(v.shape) for n, v in numbers.items()})
     refuse_more(path, sum(v.size for v in columns.values()))
     stream = table(path, "", columns, window=window)
     labels = next((tuple(map(str, v)) for v in texts.values() if v.ndim == 1 and len(v) > 1), ())
     fields = {
         n: replace(f, labels=labels) if not f.labels and f.width == len(labels) else f for n, f in stream.fields.items()
     }
-    return [Recording(path, path.stem, "npz", (Stream(stream.name, "table", stream.clocks, fields),), facts=facts)]
+    step = next((float(facts[n]) for n in STEPS if n in facts), 0.0)
+    even: dict[str, F64] = {"time": step * np.arange(stream.count, dtype=np.float64)} if step > 0 else {}
+    return Recording(
+        path, path.stem, "npz", (Stream(stream.name, "table", stream.clocks or even, fields),), facts=facts
+    )
 
 
 def _table(numbers: dict[str, F64], texts: dict[str, Any]) -> dict[str, F64]:

@@ -1,0 +1,164 @@
+"""Tables as other programs write them: PlotJuggler, rostopic, MATLAB, pandas, TwinCAT, InfluxDB, RTDE, Isaac Lab."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from realsim.gap.recordings import load_target, propose, read
+from realsim.gap.recordings.arrays import run_arrays
+
+from .robots import ARM, Log, save
+from .test_door import DEG, JOINTS, check, write
+
+TORQUES = "torque_1,torque_2"
+TABLES = {
+    "rostopic echo -p": "%time,field.header.stamp,field.joint_names0,field.joint_names1,field.desired.positions0,"
+    "field.desired.positions1,field.actual.positions0,field.actual.positions1",
+    "pandas, two levels": ",q,q,q_des,q_des\n,elbow,shoulder,elbow,shoulder\nt,,,,",
+    "a trace with strange units": "# KRC4 trace\n# sample 5 ms\nZeit,Sollposition_A1,Sollposition_A2,Istposition_A1,"
+    "Istposition_A2,Motortemp_A1,Motortemp_A2\ns,Grad,Grad,Grad,Grad,K,K",
+    "RTDE": "timestamp,actual_TCP_pose_0,actual_TCP_pose_1,actual_q_0,actual_q_1,joint_control_output_0,"
+    "joint_control_output_1,target_q_0,target_q_1,actual_current_0,actual_current_1",
+    "moteus": "timestamp,d_current_1,d_current_2,q_current_1,q_current_2,position_1,position_2,velocity_1,velocity_2,"
+    "control_position_1,control_position_2",
+    "Shift JIS": "時刻[ms],目標角度_肩[deg],目標角度_肘[deg],実角度_肩[deg],実角度_肘[deg]",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("program", TABLES)
+def test_a_table_of_another_program(program: str, arm: Log, tmp_path: Path) -> None:
+    turned, wave = slice(None, None, -1), np.cumsum(arm.torque, axis=0)
+    columns = {
+        "rostopic echo -p": (1e9 * arm.time, 1e9 * arm.time, arm.command[:, turned], arm.pos[:, turned]),
+        "pandas, two levels": (arm.time, arm.pos[:, turned], arm.command[:, turned]),
+        "a trace with strange units": (arm.time, DEG * arm.command, DEG * arm.pos, 300 + 0 * arm.pos),
+        "RTDE": (arm.time, 1e-3 * wave, arm.pos, arm.torque, arm.command, arm.torque),
+        "moteus": (arm.time, 0 * arm.torque, 0.1 * arm.torque, arm.pos, arm.vel, arm.command),
+        "Shift JIS": (1e3 * arm.time, DEG * arm.command, DEG * arm.pos),
+    }[program]
+    path = write(tmp_path / "a.csv", TABLES[program], *columns)
+    text = path.read_text("utf-8")
+    if program.startswith("rostopic"):
+        first, *rows = text.splitlines()
+        cells = [row.split(",", 2) for row in rows]
+        text = "\n".join([first, *(f"{t},{s},elbow_joint,shoulder_joint,{rest}" for t, s, rest in cells)])
+    path.write_bytes(text.encode("cp932" if program == "Shift JIS" else "utf-8"))
+    check(path, tmp_path, arm)
+
+
+def test_topics_in_the_rows_of_one_table(arm: Log, tmp_path: Path) -> None:
+    """PlotJuggler's export: a row a message, the other topics' cells empty; joints with numbers in their names."""
+    model = ARM.replace("shoulder_joint", "wrist_1_joint").replace("elbow_joint", "wrist_2_joint")
+    grip = '<body name="hand"><joint name="grip_joint" axis="1 0 0" damping="1"/><geom size="0.01"/></body>'
+    model = model.replace('<body name="fore"', grip + '<body name="fore"')
+    model = model.replace("</actuator>", '<position name="grip_servo" joint="grip_joint" kp="5"/></actuator>')
+    order = ("grip_joint", "wrist_1_joint", "wrist_2_joint")
+    held = 0.3 * np.sin(5 * arm.time)
+    pos, sent = np.column_stack([held, arm.pos]), np.column_stack([arm.command, held])
+    head = ["__time", *(f"/joint_states/{j}/position" for j in order), *(f"/arm/commands/data[{k}]" for k in range(3))]
+    rows = [(t + 0.001, [f"{x:.6f}" for x in q] + [""] * 3) for t, q in zip(arm.time, pos, strict=True)]
+    rows += [(t, [""] * 3 + [f"{x:.6f}" for x in u]) for t, u in zip(arm.time, sent, strict=True)]
+    lines = [",".join([f"{t + 1.7e9:.6f}", *cells]) for t, cells in sorted(rows)]
+    (tmp_path / "a.csv").write_text("\n".join([",".join(head), *lines]))
+    found = propose(read(tmp_path / "a.csv"), load_target(save(tmp_path, model)))
+    assert {"wrist_1_joint", "wrist_2_joint", "grip_joint"} == set(found.joints), found.render()
+    arrays = run_arrays(found, found.recordings[0]).arrays
+    for name, k in (("wrist_1_joint", 0), ("wrist_2_joint", 1)):
+        got = arrays["joint_pos"][:, found.joints.index(name)]
+        assert np.nanmax(np.abs(got - np.interp(arrays["time"], arm.time - 0.001, arm.pos[:, k]))) < 5e-3
+    got = dict(zip(found.assignments["command"].targets, arrays["command"].T, strict=True))
+    whole = np.interp(arrays["time"], arm.time - 0.001, arm.command[:, 1])
+    assert np.corrcoef(got["elbow_servo"], whole)[0, 1] > 0.99
+
+
+def test_times_with_their_unit_in_each_cell(arm: Log, tmp_path: Path) -> None:
+    """MATLAB's writetimetable."""
+    body = np.hstack([arm.command, arm.pos])
+    rows = [f"{t:g} sec," + ",".join(f"{x:.6f}" for x in values) for t, values in zip(arm.time, body, strict=True)]
+    head = "Time,target_shoulder,target_elbow,angle_shoulder,angle_elbow"
+    (tmp_path / "a.csv").write_text("\n".join([head, *rows]))
+    check(tmp_path / "a.csv", tmp_path, arm)
+
+
+def test_a_clock_for_each_channel(arm: Log, tmp_path: Path) -> None:
+    """TwinCAT's Scope: lines about the file, lines about the channels, then pairs of time and value."""
+    names = ["Schulter.SetPos", "Ellbogen.SetPos", "Schulter.ActPos", "Ellbogen.ActPos"]
+    about = [
+        ("Name", ["SetPos", "SetPos (2)", "ActPos", "ActPos (2)"]),
+        ("SampleTime[ms]", ["5"] * 4),
+        ("Symbol", names),
+    ]
+    head = [
+        "Name;arm",
+        "Starttime of export;1339643869971;Montag;10:00:00.000",
+        "Endtime;1339643869971;Montag;10:00:09.000",
+    ]
+    head += ["", *(";".join(f"{key};{value}" for value in values) for key, values in about), ""]
+    body = np.hstack([arm.command, arm.pos])
+    rows = [
+        ";".join(f"{1e3 * t:.0f};{x:.6f}" for x in values).replace(".", ",")
+        for t, values in zip(arm.time, body, strict=True)
+    ]
+    (tmp_path / "a.csv").write_text("\n".join([*head, *rows, "EOF"]))
+    check(tmp_path / "a.csv", tmp_path, arm)
+
+
+def test_a_row_a_value(arm: Log, tmp_path: Path) -> None:
+    """InfluxDB's annotated CSV: a table a series, each under its own header."""
+    lines = []
+    for field, values in (("position_setpoint", arm.command), ("position_actual", arm.pos)):
+        for k, joint in enumerate(JOINTS):
+            lines += [
+                "#group,false,false,false,false,true,true",
+                "#default,_result,,,,,",
+                ",result,table,_time,_value,_field,joint",
+            ]
+            lines += [
+                f",,{k},2026-01-01T00:00:{t:09.6f}Z,{x:.6f},{field},{joint}"
+                for t, x in zip(arm.time, values[:, k], strict=True)
+            ]
+    (tmp_path / "a.csv").write_text("\r\n".join(lines))
+    check(tmp_path / "a.csv", tmp_path, arm)
+
+
+def test_robots_side_by_side_are_runs(arm: Log, tmp_path: Path) -> None:
+    """Arrays (T, robots, K) of a vectorised simulator, whose only clock is its step."""
+    both = {"joint_pos": arm.pos, "joint_pos_target": arm.command}
+    worlds = {n: np.stack([v, v[::-1]], axis=1) for n, v in both.items()}
+    np.savez(tmp_path / "a.npz", **worlds, joint_names=np.array(JOINTS), step_dt=arm.time[1] - arm.time[0])
+    assert len(read(tmp_path / "a.npz")) == 2
+    found = propose(read(tmp_path / "a.npz"), load_target(save(tmp_path, ARM)))
+    np.testing.assert_allclose(run_arrays(found, found.recordings[0]).arrays["joint_pos"], arm.pos, atol=1e-6)
+
+
+def test_several_signals_of_each_joint_in_one_vector(arm: Log, tmp_path: Path) -> None:
+    """LeRobot's robots with velocities and torques: knee.pos, knee.vel, knee.torque, ..."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    for place in ("meta", "data"):
+        (tmp_path / "set" / place).mkdir(parents=True)
+    model = ARM.replace("shoulder_joint", "joint_1").replace("elbow_joint", "joint_2")
+    state = np.stack([DEG * arm.pos, DEG * arm.vel, arm.torque], axis=2).reshape(len(arm.time), -1)
+    rows = {"observation.state": state.tolist(), "action": (DEG * arm.command).tolist(), "timestamp": arm.time}
+    pq.write_table(pa.table(rows | {"episode_index": np.zeros(len(state), int)}), tmp_path / "set/data/a.parquet")
+    kinds = {"observation.state": ("pos", "vel", "torque"), "action": ("pos",)}
+    features = {
+        n: {"dtype": "float32", "names": [f"joint_{j}.{k}" for j in (1, 2) for k in of]} for n, of in kinds.items()
+    }
+    (tmp_path / "set/meta/info.json").write_text(json.dumps({"features": features}))
+    found = propose(read(tmp_path / "set"), load_target(save(tmp_path, model)))
+    arrays = run_arrays(found, found.recordings[0]).arrays
+    for role, truth in (("joint_pos", arm.pos), ("joint_vel", arm.vel), ("joint_torque", arm.torque)):
+        assert not found.assignments[role].doubtful, found.render()
+        np.testing.assert_allclose(arrays[role], truth, rtol=1e-4, atol=1e-4)
+
+
+def test_small_motion_is_not_taken_for_turns(arm: Log, tmp_path: Path) -> None:
+    """Both are within the ranges, and turns fill more of them: rad, in doubt."""
+    path = write(tmp_path / "a.csv", "t,q1,q2,q1_cmd,q2_cmd", arm.time, 0.2 * arm.pos, 0.2 * arm.command)
+    found = propose(read(path), load_target(save(tmp_path, ARM))).assignments["joint_pos"]
+    assert found.unit == "rad"
+    assert found.doubtful
