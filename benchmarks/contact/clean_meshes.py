@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.store import Store
+from realsim.core.meshes import mesh_of
 from tests.truths.solids import grid_mesh
 
 RESULTS = Path(__file__).parents[1] / "results" / "clean_meshes.json"
@@ -335,9 +336,7 @@ def _top_edges(model: Any, data: Any, geom: int, rng: np.random.Generator) -> li
     if kind == mujoco.mjtGeom.mjGEOM_BOX:
         corners = np.array([[a, b, c] for a in (-1, 1) for b in (-1, 1) for c in (-1, 1)]) * model.geom_size[geom]
     elif kind == mujoco.mjtGeom.mjGEOM_MESH:
-        mesh = model.geom_dataid[geom]
-        first = model.mesh_vertadr[mesh]
-        corners = model.mesh_vert[first : first + model.mesh_vertnum[mesh]]
+        corners = mesh_of(model, model.geom_dataid[geom])[0]
     else:
         return []
     points = data.geom_xpos[geom] + corners @ data.geom_xmat[geom].reshape(3, 3).T

@@ -55,6 +55,14 @@ def merged(
     return np.vstack([V for V, _ in parts]), np.vstack([F + o for (_, F), o in zip(parts, offsets[:-1], strict=True)])
 
 
+def mesh_of(model: Any, mesh: int) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """(V, 3) and (K, 3) of a mesh of a `MjModel`, in its own frame."""
+    start, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+    first, faces = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
+    points = model.mesh_vert[start : start + count].astype(float)
+    return points, model.mesh_face[first : first + faces].astype(np.int32)
+
+
 def height_field(model: Any, field: int, apart: int = 1) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """(V, 3) and (K, 3) of a height field of a `MjModel` about its geom's place: every cell is cut, as MuJoCo does it,
     from its lower left to its upper right corner.
@@ -144,13 +152,19 @@ class Edges:
     uses: NDArray[np.int64]
     """(E,) how many sides each edge has."""
 
+    @property
+    def of_side(self) -> NDArray[np.int64]:
+        """(3K,) the edge of each side."""
+        return np.repeat(np.arange(len(self.uses)), self.uses)[np.argsort(self.order)]
 
-def edges_of(faces: NDArray[np.int64]) -> Edges:
-    """The edges of triangles (K, 3)."""
-    runs = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    key = runs.min(1) * (int(faces.max()) + 1) + runs.max(1)
+
+def edges_of(triangles: NDArray[Any]) -> Edges:
+    """The edges of triangles (K, 3), in the order of their lower and then their higher vertex; side s leads from the
+    corner s % 3 of its triangle to the next."""
+    runs = triangles.astype(np.int64)[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    key = runs.min(1) * (int(runs.max(initial=0)) + 1) + runs.max(1)
     order = np.argsort(key, kind="stable")
-    first = np.flatnonzero(np.r_[True, np.diff(key[order]) != 0])
+    first = np.flatnonzero(np.diff(key[order], prepend=-1))
     return Edges(runs, order, first, np.diff(np.r_[first, len(order)]))
 
 
@@ -163,10 +177,11 @@ def compact(
     vertices: ArrayLike, triangles: ArrayLike, *per_vertex: NDArray[Any] | None
 ) -> tuple[NDArray[np.float64], NDArray[np.int32], *tuple[Any, ...]]:
     """Only the vertices that triangles use: (vertices, triangles, *per_vertex) with new indices, order kept."""
-    F = np.asarray(triangles)
-    used, inverse = np.unique(F, return_inverse=True)
-    arrays = tuple(None if a is None else np.asarray(a)[used] for a in per_vertex)
-    return (np.asarray(vertices)[used], inverse.reshape(F.shape).astype(np.int32), *arrays)
+    V, F = np.asarray(vertices), np.asarray(triangles)
+    used = np.zeros(len(V), bool)
+    used[F] = True
+    number = np.cumsum(used, dtype=np.int32) - 1
+    return (V[used], number[F], *(None if a is None else np.asarray(a)[used] for a in per_vertex))
 
 
 def loose_vertices(count: int, triangles: NDArray[Any]) -> str | None:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from realsim.core.errors import ExportError, require
 from realsim.core.geometry import R_to_quat
-from realsim.core.meshes import merged, sampled
+from realsim.core.meshes import merged, mesh_of, sampled
 from realsim.core.mjcf import check_mjcf
 from realsim.core.progress import note
 from realsim.core.types import F64
@@ -19,7 +19,6 @@ from realsim.export.contact.fidelity import EDGE, measure
 from realsim.export.contact.polytope import SIGNS, Polytope
 from realsim.export.contact.probe import Reference
 from realsim.export.contact.seams import open_seams
-from realsim.export.formats.scene import mesh_of
 
 SAMPLES = 2000
 """Points of a mesh that are compared with its hull."""

@@ -2,9 +2,10 @@
 
 import numpy as np
 
+from realsim.core.meshes import edges_of
 from realsim.core.types import Bool
 from realsim.meshing.quality import corner_fans, crossing, degenerate, passes
-from realsim.meshing.surface import Surface, edges_of, first_of_each
+from realsim.meshing.surface import Surface, first_of_each
 
 
 def weld(surface: Surface, tolerance: float) -> Surface:
@@ -38,7 +39,8 @@ def _on_bad_edge(surface: Surface) -> Bool:
     Where more than two share an edge, all but the two largest: fins are small beside the sheets they stand on. Where
     two pass it in the same direction, both: one of them is the wrong way round and neither says which.
     """
-    _, count, of_half = edges_of(surface.triangles)
+    edges = edges_of(surface.triangles)
+    count, of_half = edges.uses, edges.of_side
     bad = np.zeros(len(surface.triangles), bool)
     if len(count) == 0:
         return bad

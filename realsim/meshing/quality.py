@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from realsim.core.meshes import linked
+from realsim.core.meshes import edges_of, linked
 from realsim.core.types import AlignedScene, Bool, MeshQuality, ViewResidual
-from realsim.meshing.surface import Surface, components, edges_of, first_of_each
+from realsim.meshing.surface import Surface, components, first_of_each
 
 
 def degenerate(surface: Surface, min_height: float = 1e-7) -> Bool:
@@ -21,10 +21,9 @@ def corner_fans(triangles: np.ndarray) -> np.ndarray:
 
     A vertex with more than one fan is one where sheets merely touch.
     """
-
     t = triangles.astype(np.int64)
     after = np.roll(np.arange(t.size).reshape(-1, 3), -1, axis=1).ravel()
-    _, _, of_half = edges_of(triangles)
+    of_half = edges_of(triangles).of_side
     # Edges of three and more triangles link all of them, pair by pair in the order of the half-edges.
     order = np.argsort(of_half, kind="stable")
     pair = np.flatnonzero(of_half[order][1:] == of_half[order][:-1])
@@ -46,8 +45,8 @@ def non_manifold(surface: Surface) -> tuple[int, int]:
     t = surface.triangles.astype(np.int64)
     if len(t) == 0:
         return 0, 0
-    _, count, of_half = edges_of(surface.triangles)
-    forward = passes(surface.triangles, of_half, len(count))
+    edges = edges_of(surface.triangles)
+    count, forward = edges.uses, passes(surface.triangles, edges.of_side, len(edges.uses))
     bad_edges = int(((count > 2) | (np.maximum(forward, count - forward) > 1)).sum())
     corner = t.ravel()
     fans = corner[first_of_each(np.stack([corner, corner_fans(surface.triangles)], -1))]
@@ -68,7 +67,7 @@ def crossing(surface: Surface) -> Bool:
 
 def check(surface: Surface) -> MeshQuality:
     """All checks of a surface."""
-    _, count, _ = edges_of(surface.triangles)
+    count = edges_of(surface.triangles).uses
     bad_edges, bad_vertices = non_manifold(surface)
     manifold = bad_edges == 0 and bad_vertices == 0
     watertight = len(count) > 0 and bool((count == 2).all()) and bad_edges == 0

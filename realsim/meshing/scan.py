@@ -6,13 +6,14 @@ import numpy as np
 
 from realsim.core.errors import MeshError
 from realsim.core.geometry import transform
+from realsim.core.meshes import edges_of
 from realsim.core.types import F64, AlignedScene
 from realsim.meshing.clean import weld
 from realsim.meshing.config import MeshConfig
 from realsim.meshing.fuse import Points, thin
 from realsim.meshing.methods import screened_poisson
 from realsim.meshing.quality import degenerate
-from realsim.meshing.surface import Surface, colored_from, edges_of
+from realsim.meshing.surface import Surface, colored_from, components
 from realsim.meshing.trim import keep_measured
 
 LEVEL = 0.8
@@ -89,14 +90,11 @@ def oriented(surface: Surface) -> Surface:
 
     if len(surface.triangles) == 0:
         return surface
-    _, count, _ = edges_of(surface.triangles)
-    if count.max() <= 2:
+    if edges_of(surface.triangles).uses.max() <= 2:
         meshes = pymeshlab.MeshSet()
         meshes.add_mesh(pymeshlab.Mesh(surface.vertices, surface.triangles))
         meshes.meshing_re_orient_faces_coherently()
         surface = Surface(surface.vertices, meshes.current_mesh().face_matrix().astype(np.int32), surface.colors)
-    from realsim.meshing.surface import components
-
     n, piece = components(surface.triangles)
     # A closed piece has as much area up as down: there the upper half decides.
     centre = surface.centres()[:, 2]
@@ -170,6 +168,7 @@ def outward(points: F64, normals: F64, reach: float, neighbours: int = 24) -> F6
 def _edge_length(surface: Surface) -> float:
     if len(surface.triangles) == 0:
         return 0.01
-    edges, _, _ = edges_of(surface.triangles)
-    length = np.linalg.norm(surface.vertices[edges[:, 0]] - surface.vertices[edges[:, 1]], axis=1)
+    edges = edges_of(surface.triangles)
+    ends = surface.vertices[edges.runs[edges.order[edges.first]]]
+    length = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
     return float(np.clip(np.median(length), 0.005, 0.1))

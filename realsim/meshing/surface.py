@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.core.meshes import across, areas, linked, merged, sampled
+from realsim.core.meshes import across, areas, compact, edges_of, linked, merged, sampled
 from realsim.core.rays import Rays
 from realsim.core.types import F64, U8, Bool
 
@@ -24,12 +24,7 @@ class Surface:
 
     def where(self, keep: Bool) -> Surface:
         """Those triangles only (K,), without the vertices that nothing uses."""
-        triangles = self.triangles[keep]
-        used = np.zeros(len(self.vertices), bool)
-        used[triangles] = True
-        number = np.cumsum(used) - 1
-        colors = None if self.colors is None else self.colors[used]
-        return Surface(self.vertices[used], number[triangles].astype(np.int32).reshape(-1, 3), colors)
+        return Surface(*compact(self.vertices, self.triangles[keep], self.colors))
 
     def joined(self, other: Surface) -> Surface:
         """Both in one, this one first; without colours."""
@@ -61,19 +56,6 @@ class Surface:
         return sampled(self.vertices, self.triangles, n, np.random.default_rng(seed))[0]
 
 
-def edges_of(triangles: I32) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Undirected edges (E, 2), how many triangles share each (E,), and the edge of each half-edge (3K,).
-
-    Half-edge h belongs to triangle h // 3 and leads from its corner h % 3 to the next.
-    """
-    t = triangles.astype(np.int64)
-    start, end = t.ravel(), np.roll(t, -1, axis=1).ravel()
-    low, high = np.minimum(start, end), np.maximum(start, end)
-    scale = int(t.max()) + 1 if len(t) else 1
-    key, inverse, count = np.unique(low * scale + high, return_inverse=True, return_counts=True)
-    return np.stack([key // scale, key % scale], -1), count, inverse.ravel()
-
-
 def first_of_each(rows: NDArray[np.int64]) -> NDArray[np.int64]:
     """Where each different row of (K, 2 or 3) non-negative numbers first occurs, in the order of the rows' values.
 
@@ -93,9 +75,8 @@ def components(triangles: I32) -> tuple[int, NDArray[np.int64]]:
     k = len(triangles)
     if k == 0:
         return 0, np.zeros(0, np.int64)
-    edges, _, of_half = edges_of(triangles)
-    face = np.arange(3 * k) // 3
-    _, label = np.unique(linked(face, k + of_half, k + len(edges))[:k], return_inverse=True)
+    edges = edges_of(triangles)
+    _, label = np.unique(linked(np.arange(3 * k) // 3, k + edges.of_side, k + len(edges.uses))[:k], return_inverse=True)
     return int(label.max()) + 1, label.ravel().astype(np.int64)
 
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from realsim.core.meshes import simplify
+from realsim.core.meshes import mesh_of, simplify
 from realsim.core.types import F64
 
 _MESH_TRIANGLES = 2500
@@ -109,14 +109,7 @@ def box(model: Any, g: int) -> Solid:
 
 def mesh(model: Any, g: int) -> Solid:
     """A mesh geom as it is, geom frame."""
-    m = model.geom_dataid[g]
-    v, f = model.mesh_vertadr[m], model.mesh_faceadr[m]
-    V = model.mesh_vert[v : v + model.mesh_vertnum[m]].astype(float)
-    return V, model.mesh_face[f : f + model.mesh_facenum[m]].astype(np.int64)
-
-
-def _simple_mesh(model: Any, g: int) -> Solid:
-    return simplify(*mesh(model, g), None, _MESH_TRIANGLES)[:2]
+    return mesh_of(model, model.geom_dataid[g])
 
 
 def _patch(data: Any, g: int, size: float) -> Solid:
@@ -135,5 +128,5 @@ _SHAPES: dict[int, Callable[[Any, int], Solid]] = {
     4: lambda model, g: _ball(model.geom_size[g]),
     5: _cylinder,
     6: box,
-    7: _simple_mesh,
+    7: lambda model, g: simplify(*mesh(model, g), None, _MESH_TRIANGLES)[:2],
 }

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from realsim.core.meshes import edges_of
 from realsim.meshing.scan import crop
-from realsim.meshing.surface import Surface, edges_of
+from realsim.meshing.surface import Surface
 
 BOUNDS = np.array([[-1.0, -0.5, -0.1], [2.0, 0.7, 0.5]])
 
@@ -44,8 +45,9 @@ def test_neighbours_stay_neighbours() -> None:
     cut = crop(
         Surface(V, np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])]).astype(np.int32)), BOUNDS
     )
-    edges, count, _ = edges_of(cut.triangles)
-    middle = cut.vertices[edges].mean(1)[count == 1]
+    edges = edges_of(cut.triangles)
+    count = edges.uses
+    middle = cut.vertices[edges.runs[edges.order[edges.first]]].mean(1)[count == 1]
     on_bounds = (np.abs(middle[:, :, None] - BOUNDS.T) < 1e-9).any((1, 2))
     assert on_bounds.all(), "only the bounds are open"
     assert count.max() == 2

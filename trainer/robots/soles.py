@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 
 from realsim.core.geometry import quat_to_R
+from realsim.core.meshes import mesh_of
 from realsim.core.types import F64
 
 GRID = (9, 4)
@@ -63,9 +64,7 @@ def outline(model: Any, geom: int, down: F64 | None = None) -> F64:
         local = size**2 * (R.T @ below)
         return (centre + R @ (local / np.linalg.norm(local / size)))[None]
     if kind == types.mjGEOM_MESH:
-        mesh = model.geom_dataid[geom]
-        first = model.mesh_vertadr[mesh]
-        return centre + model.mesh_vert[first : first + model.mesh_vertnum[mesh]] @ R.T
+        return centre + mesh_of(model, model.geom_dataid[geom])[0] @ R.T
     if kind == types.mjGEOM_CYLINDER:
         turn = np.linspace(0, 2 * np.pi, 12, endpoint=False)
         rim = np.stack([size[0] * np.cos(turn), size[0] * np.sin(turn), np.full(12, size[1])], -1)

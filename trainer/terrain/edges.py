@@ -4,6 +4,8 @@ from typing import Any
 
 import numpy as np
 
+from realsim.core.geometry import make_T, quat_to_R, transform
+from realsim.core.meshes import mesh_of
 from trainer.terrain.base import F64, Box, Terrain
 from trainer.terrain.shapes import QUADS, corners
 
@@ -60,8 +62,6 @@ def _of_spec(spec: Any) -> list[Convex]:
     """Box and mesh geoms of the compiled specification, those that collide; meshes as their hulls."""
     import mujoco
 
-    from realsim.core.geometry import make_T, quat_to_R
-
     model = spec.compile()
     parts = []
     for i in range(model.ngeom):
@@ -71,9 +71,7 @@ def _of_spec(spec: Any) -> list[Convex]:
         if model.geom_type[i] == mujoco.mjtGeom.mjGEOM_BOX:
             parts.append(_of_box(Box(2 * model.geom_size[i], T)))
         elif model.geom_type[i] == mujoco.mjtGeom.mjGEOM_MESH:
-            m = model.geom_dataid[i]
-            first, count = model.mesh_vertadr[m], model.mesh_vertnum[m]
-            parts.append(_hull(model.mesh_vert[first : first + count].astype(float) @ T[:3, :3].T + T[:3, 3]))
+            parts.append(_hull(transform(T, mesh_of(model, model.geom_dataid[i])[0])))
     return parts
 
 

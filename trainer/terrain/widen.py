@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from realsim.core.geometry import R_to_quat, make_T, quat_to_R
+from realsim.core.geometry import R_to_quat, make_T, quat_to_R, transform
+from realsim.core.meshes import mesh_of
 from trainer.terrain.base import F64, Box, Terrain
 from trainer.terrain.shapes import mesh
 
@@ -75,7 +76,7 @@ def _wider_contact(spec: Any, half: float) -> tuple[Any, list[tuple[F64, Any]]]:
             geom.pos, geom.quat, geom.size = box.T[:3, 3], R_to_quat(box.T[:3, :3]), box.size / 2
             parts.append(mesh((box,)))
         elif kind == mujoco.mjtGeom.mjGEOM_MESH:
-            points, faces = _grown_hull(_mesh_points(model, i) @ T[:3, :3].T + T[:3, 3], half)
+            points, faces = _grown_hull(transform(T, mesh_of(model, model.geom_dataid[i])[0]), half)
             new = copy.add_mesh(name=f"wider{i}", uservert=points.ravel(), userface=faces.ravel())
             geom.meshname, geom.pos, geom.quat = new.name, [0, 0, 0], [1, 0, 0, 0]
             parts.append((points, faces))
@@ -88,12 +89,6 @@ def _wider_contact(spec: Any, half: float) -> tuple[Any, list[tuple[F64, Any]]]:
             copy.delete(old)
     copy.compile()
     return copy, parts
-
-
-def _mesh_points(model: Any, geom: int) -> F64:
-    m = model.geom_dataid[geom]
-    first, count = model.mesh_vertadr[m], model.mesh_vertnum[m]
-    return np.asarray(model.mesh_vert[first : first + count], float)
 
 
 def _grown_hull(points: F64, half: float) -> tuple[F64, Any]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from realsim.core.errors import ExportError
 from realsim.core.files import check_size
-from realsim.core.meshes import across, height_field, merged
+from realsim.core.meshes import across, height_field, merged, mesh_of
 from realsim.core.mjcf import check_mjcf
 from realsim.core.types import F64
 from realsim.export.contact.polytope import SIGNS
@@ -141,10 +141,8 @@ def _check_drawn(folder: Path, model: Any, data: Any, vertices: F64) -> None:
     geom = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, "visual")
     if geom < 0 or model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_MESH or not len(vertices):
         return
-    mesh = model.geom_dataid[geom]
-    first, start = model.mesh_faceadr[mesh], model.mesh_vertadr[mesh]
-    used = np.unique(model.mesh_face[first : first + model.mesh_facenum[mesh]])
-    points = model.mesh_vert[start + used].astype(float) @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
+    points, faces = mesh_of(model, model.geom_dataid[geom])
+    points = points[np.unique(faces)] @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
     off = np.abs(np.stack([points.min(0) - vertices.min(0), points.max(0) - vertices.max(0)])).max()
     if not off <= DRAWN_OFF * float(np.ptp(vertices, 0).max()):
         raise ExportError(
@@ -202,14 +200,6 @@ def collision_triangles(model: Any, data: Any) -> tuple[F64, NDArray[np.int32]]:
     parts = [*(_hull(box.name, box.corners) for box in boxes), *convex, *surfaces]
     vertices, triangles = merged([(part.vertices, part.triangles) for part in parts])
     return vertices, triangles.astype(np.int32)
-
-
-def mesh_of(model: Any, mesh: int) -> tuple[F64, NDArray[np.int32]]:
-    """(V, 3) and (K, 3) of a mesh of a compiled model, in its own frame."""
-    start, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
-    first, faces = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
-    points = model.mesh_vert[start : start + count].astype(float)
-    return points, model.mesh_face[first : first + faces].astype(np.int32)
 
 
 def height_nodes(vertices: F64, depth: float) -> tuple[F64, list[float], list[float]]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from realsim.core.errors import GapError
+from realsim.core.meshes import mesh_of
 from realsim.core.types import F64, MjData, MjModel
 from realsim.gap.case.case import Case, Run
 from realsim.gap.case.motion import Motion, estimate
@@ -130,9 +131,7 @@ def underside(model: MjModel, body: str) -> list[Part]:
     for g in own:
         size, kind = model.geom_size[g], kinds(int(model.geom_type[g]))
         if kind == kinds.mjGEOM_MESH:
-            mesh = model.geom_dataid[g]
-            start = model.mesh_vertadr[mesh]
-            vertices = model.mesh_vert[start : start + model.mesh_vertnum[mesh]].astype(float)
+            vertices, _ = mesh_of(model, model.geom_dataid[g])
             found.append(Part(g, vertices[:: max(1, len(vertices) // 200)]))
         elif kind == kinds.mjGEOM_BOX:
             grid = np.linspace(-1, 1, 5)
