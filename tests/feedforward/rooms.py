@@ -1,6 +1,7 @@
 """A small textured room, ray-cast by numpy: frames with exact poses and depth for the tests of this package."""
 
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ BOXES = np.array(
 )
 
 
+@cache
 def texture(size: int = 512, seed: int = 0) -> NDArray[np.float64]:
     """(size, size) in 0..1 that repeats seamlessly: smooth noise of several sizes."""
     import cv2
