@@ -94,7 +94,7 @@ def refine(cloud: Cloud, normal: F64, offset: float, tolerance: float = TOLERANC
     inliers = gate & (np.abs(height) < band)
     w = weights[inliers]
     rms = float(np.sqrt((w * height[inliers] ** 2).sum() / w.sum())) if w.sum() > 0 else float("nan")
-    return Plane(normal, float(offset), inliers, rms, covered_area(cloud.points[inliers], normal))
+    return Plane(normal, float(offset), inliers, rms, seen_area(cloud.points[inliers] @ plane_axes(normal).T, CELL))
 
 
 def plane_weights(cloud: Cloud) -> F64:
@@ -105,11 +105,6 @@ def plane_weights(cloud: Cloud) -> F64:
     """
     typical = np.median(cloud.weights)
     return cloud.weights / (cloud.weights + typical)
-
-
-def covered_area(points: F64, normal: F64, cell: float = CELL) -> float:
-    """m^2 of the occupied cells of points (M, 3) in the plane of `normal`."""
-    return seen_area(points @ plane_axes(normal).T, cell)
 
 
 def plane_axes(normal: F64) -> F64:

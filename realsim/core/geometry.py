@@ -60,13 +60,6 @@ def exp_so3(w: ArrayLike) -> Array:
     return np.eye(3) + np.sin(a) / a * K + (1 - np.cos(a)) / a**2 * K @ K
 
 
-def log_so3(R: ArrayLike) -> Array:
-    """Rotation vector (3,) in radians, of length at most pi, of a rotation matrix."""
-    from scipy.spatial.transform import Rotation
-
-    return Rotation.from_matrix(np.asarray(R, float)).as_rotvec()
-
-
 def interpolated_T(times: Array, T: Array, at: Array) -> Array:
     """(M, 4, 4) poses at times (M,) within those of samples (N >= 2, 4, 4): positions linearly, rotations along the
     shortest arc (slerp, Shoemake 1985)."""

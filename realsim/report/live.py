@@ -144,12 +144,8 @@ def _cloud(server: Any, path: Path) -> list[Any]:
     """The vertices of the surface as points in their colours."""
     mesh = _load(path)
     points = np.asarray(mesh.vertices, np.float32)
-    return [server.scene.add_point_cloud("/cloud", points, _colors(mesh), point_size=0.006)]
-
-
-def _colors(mesh: Any) -> Any:
-    """(V, 3) uint8 of the vertices, or one colour for all."""
-    return np.asarray(mesh.visual.vertex_colors)[:, :3] if mesh.visual.kind == "vertex" else (120, 130, 150)
+    colors = np.asarray(mesh.visual.vertex_colors)[:, :3] if mesh.visual.kind == "vertex" else (120, 130, 150)
+    return [server.scene.add_point_cloud("/cloud", points, colors, point_size=0.006)]
 
 
 def _collision(server: Any, path: Path) -> list[Any]:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from realsim import __version__
-from realsim.core.types import MeshQuality, Reconstruction
+from realsim.core.types import Reconstruction
 from realsim.report import page
 from realsim.report.verdict import Judgement, dropped_frames, scale_of
 
@@ -67,7 +67,7 @@ def summary(result: Reconstruction, judgement: Judgement, made: Made) -> dict[st
             "resolution_m": mesh.resolution,
             "noise_m": mesh.noise_m,
             "invented_triangles": int(np.count_nonzero(mesh.invented)),
-            **quality_dict(mesh.quality),
+            **vars(mesh.quality),
             "residuals": [{"frame": r.name, "median_abs_m": r.median_abs_m} for r in mesh.residuals],
         },
         "contact": dict(result.scene.contact),
@@ -100,11 +100,6 @@ def _scale(result: Reconstruction) -> dict[str, Any]:
     assert result.aligned.metric is not None
     found = _fields(estimate, "value ci90 per_frame_spread method per_frame")
     return found | {"depth_gain": result.aligned.metric.depth_gain}
-
-
-def quality_dict(quality: MeshQuality) -> dict[str, Any]:
-    """The checks of a mesh as JSON-able values."""
-    return dict(vars(quality))
 
 
 def versions() -> dict[str, str]:

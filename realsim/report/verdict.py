@@ -9,7 +9,7 @@ import numpy as np
 
 from realsim.core.contact_limits import shares
 from realsim.core.meshes import across
-from realsim.core.types import F64, Dropped, Reconstruction, ScaleEstimate
+from realsim.core.types import Dropped, Reconstruction, ScaleEstimate
 from realsim.report.page import Level
 
 
@@ -130,10 +130,6 @@ def millimetres(value: float) -> str:
     return f"{1000 * value:.1f}\u00a0mm"
 
 
-def _degrees(value: float) -> str:
-    return f"{value:.2g}°"
-
-
 def scale_of(result: Reconstruction) -> ScaleEstimate | None:
     """The scale estimate, or None for a scan."""
     return result.aligned.metric.scale if result.aligned.metric is not None else None
@@ -161,7 +157,7 @@ def _metres(result: Reconstruction) -> Iterator[Check]:
 
 def _gravity(result: Reconstruction) -> Iterator[Check]:
     gravity = result.aligned.gravity
-    yield graded("Tilt uncertainty of the ground", gravity.tilt_sigma_deg, 0.3, 1.0, _degrees, advice=_FLOOR)
+    yield graded("Tilt uncertainty of the ground", gravity.tilt_sigma_deg, 0.3, 1.0, "{:.2g}°".format, advice=_FLOOR)
     yield graded("Roughness of the ground (RMS)", gravity.inlier_rms_m, 0.020, 0.050, millimetres, advice=_FLOOR)
 
 
@@ -281,19 +277,15 @@ def _look_from(result: Reconstruction) -> str:
 
 def unseen_share(result: Reconstruction) -> float:
     """Share of the upward-facing surface that was invented."""
-    up = _upward(result)
-    return float(up[result.mesh.invented].sum() / max(up.sum(), 1e-12))
+    mesh = result.mesh
+    up = np.maximum(across(mesh.vertices, mesh.triangles)[:, 2] / 2, 0)  # areas as seen from above
+    return float(up[mesh.invented].sum() / max(up.sum(), 1e-12))
 
 
 def _contact(result: Reconstruction) -> Iterator[Check]:
     """What a robot would feel against what the cameras saw."""
     for name, share, look, bad in shares(result.scene.contact):
         yield graded(name, share, look, bad, percent, advice=_TOUCH)
-
-
-def _upward(result: Reconstruction) -> F64:
-    """(K,) area of every triangle as seen from above, m²; 0 where it faces down."""
-    return np.maximum(across(result.mesh.vertices, result.mesh.triangles)[:, 2] / 2, 0)
 
 
 def _physics(result: Reconstruction) -> Iterator[Check]:

@@ -8,8 +8,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from realsim.core.geometry import R_to_quat, invert_T, log_so3
+from realsim.core.geometry import R_to_quat, invert_T
 
 from .fake_realsense import write_bag
 from .rosbags_of import write_bag as write_ros
@@ -388,7 +389,7 @@ def write_arkitscenes(folder: Path, views: Sequence[View]) -> None:
         pincam = folder / f"lowres_wide_intrinsics/41069021_{view.time - START_TIME + 3000.001:.3f}.pincam"
         pincam.write_text(f"{c.width} {c.height} {c.fx} {c.fy} {c.cx} {c.cy}\n")
         T = invert_T(view.T_world_camera)
-        numbers = [*log_so3(T[:3, :3]), *T[:3, 3]]
+        numbers = [*Rotation.from_matrix(T[:3, :3]).as_rotvec(), *T[:3, 3]]
         lines.append(f"{view.time - START_TIME + 2999.999:.6f} " + " ".join(f"{v:.9f}" for v in numbers))
     (folder / "lowres_wide.traj").write_text("\n".join(lines) + "\n")
 

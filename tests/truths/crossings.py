@@ -10,8 +10,9 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from realsim.core.geometry import R_to_quat, exp_so3, log_so3, quat_to_R
+from realsim.core.geometry import R_to_quat, exp_so3, quat_to_R
 from realsim.robots.quadruped import CALF_M, FOOT_RADIUS_M, HIP_AT, LEGS, THIGH_M, THIGH_OFFSET_M, quadruped
 from tests.truths.written import write_case
 
@@ -200,13 +201,14 @@ def cross(
         support = [foot for leg, foot in stand.items() if leg != lifts]
         middle = np.mean(support, axis=0)
         goal = begin if swing else np.array([*(0.1 * begin[:2] + 0.9 * middle[:2]), middle[2] - FOOT_RADIUS_M + STANCE])
-        lean = 0.5 * log_so3(R0)
+        tilted = Rotation.from_matrix(R0).as_rotvec()
+        lean = 0.5 * tilted
         start = data.xpos[ids[legs.index(swing)]].copy() if swing else np.zeros(3)
         steps = round(seconds * RATE)
         for i in range(steps):
             share = (i + 1) / steps
             trunk = begin + _smooth(share) * (goal - begin)
-            R = exp_so3(log_so3(R0) - _smooth(share) * lean)
+            R = exp_so3(tilted - _smooth(share) * lean)
             wanted = {leg: leg_angles(leg, R.T @ (foot - trunk)) + sag[3 * k : 3 * k + 3]
                       for k, leg in enumerate(legs) if (foot := stand.get(leg)) is not None}  # fmt: skip
             if swing and target is not None:

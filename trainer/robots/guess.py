@@ -60,7 +60,7 @@ def guess(path: Path, out: Path) -> tuple[RobotFile, dict[str, str]]:
     strip(spec, tuple(passive))
     float_base(spec, base)
     model = compiled(spec, path)
-    hinges = [j.name for j in spec.joints if _is_hinge(j)]
+    hinges = [j.name for j in spec.joints if j.type == mujoco.mjtJoint.mjJNT_HINGE]
     if not hinges:
         raise TrainerError("the model has no joint that could be driven", file=path, expected="hinges")
     home = {name: home[name] for name in hinges}
@@ -113,10 +113,6 @@ def guess(path: Path, out: Path) -> tuple[RobotFile, dict[str, str]]:
         camera=camera,
     )
     return file, reasons
-
-
-def _is_hinge(joint: Any) -> bool:
-    return bool(joint.type == mujoco.mjtJoint.mjJNT_HINGE)
 
 
 def _drives(spec: Any, path: Path) -> dict[str, Any]:

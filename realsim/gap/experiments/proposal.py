@@ -30,14 +30,9 @@ def bench_of(context: Context, noise: Noise, config: ExciteConfig, diagnose: Dia
     return Bench(rig, noise, limits_of(context, config.max_speed, config.max_torque), diagnose)
 
 
-def rivals_of(fits: Sequence[Fit]) -> tuple[Rival, ...]:
-    """Fits that explain the runs equally well as rivals, the first the best."""
-    return tuple(rival_of(fit, "; ".join(phrase(c) for c in describe_set(fit))) for fit in fits)
-
-
 def propose(simulator: Simulator, noise: Noise, fits: Sequence[Fit], config: DiagnoseConfig) -> dict[str, Any] | None:
     """`next_experiment` of a diagnosis whose rivals are these fits; None with fewer than two."""
-    rivals = rivals_of(fits)
+    rivals = tuple(rival_of(fit, "; ".join(phrase(c) for c in describe_set(fit))) for fit in fits)
     if len(rivals) < 2:
         return None
     finalists = FINALISTS if simulator.case.model.nv <= MOST_FREEDOM else 0

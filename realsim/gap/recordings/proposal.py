@@ -147,14 +147,9 @@ class Proposal:
         return "\n".join(lines)
 
 
-def stream_of(recording: Recording, name: str) -> Stream | None:
-    """The stream of this name."""
-    return next((s for s in recording.streams if s.name == name), None)
-
-
 def field_of(recording: Recording, source: Candidate) -> tuple[Stream, Field] | None:
     """The stream and field of a candidate in another recording of the same layout."""
-    stream = stream_of(recording, source.stream)
+    stream = next((s for s in recording.streams if s.name == source.stream), None)
     if stream is None and len(recording.streams) == 1:  # a table is named after its file
         stream = recording.streams[0]
     if stream is None or source.member not in stream.fields:

@@ -33,12 +33,9 @@ def health_card(found: Diagnosis) -> str:
 def _clock(health: dict[str, Any]) -> list[list[str]]:
     clock = health.get("clock", {})
     names = {"median_step_s": "sampling step (median)", "jitter_s": "jitter of the time stamps"}
-    return [[said, _milliseconds(clock[key])] for key, said in names.items() if key in clock]
-
-
-def _milliseconds(seconds: float) -> str:
-    """No clock of a log resolves a nanosecond: what is less comes from rounding."""
-    return "none" if seconds < 1e-9 else f"{svg.number(1000 * seconds)} ms"
+    known = {said: clock[key] for key, said in names.items() if key in clock}
+    # No clock of a log resolves a nanosecond: what is less comes from rounding.
+    return [[said, "none" if s < 1e-9 else f"{svg.number(1000 * s)} ms"] for said, s in known.items()]
 
 
 def _start(health: dict[str, Any]) -> list[list[str]]:

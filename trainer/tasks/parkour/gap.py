@@ -213,7 +213,8 @@ def _take(cause: dict[str, Any], robot: TrainedRobot, found: _Found, path: Path)
                 if bounds is None:
                     left[robot.joints[j]] = None
                 else:
-                    own[j] = _product(own[j], bounds) if j in own and key in ("kp", "kd") else bounds
+                    low, high = own.get(j, (1.0, 1.0)) if key in ("kp", "kd") else (1.0, 1.0)
+                    own[j] = low * bounds[0], high * bounds[1]
     elif effect in _WHOLE and (effect not in ("payload", "com_offset") or _torsos(cause, robot)):
         found.ranges.update({k: v for k, v in _WHOLE[effect](interval).items() if v is not None})
         if effect == "ground_friction" and "friction" in found.ranges:
@@ -239,10 +240,6 @@ def _nominal_friction(robot: TrainedRobot) -> float:
     """Sliding friction of feet on terrain in the robot's model: MuJoCo takes the larger of the two; terrain has 1."""
     spec = robot.robot.spec
     return max(1.0, *(float(g.friction[0]) for foot in robot.feet for g in spec.body(foot).geoms))
-
-
-def _product(a: Range, b: Range) -> Range:
-    return a[0] * b[0], a[1] * b[1]
 
 
 def _armature(interval: Interval, robot: TrainedRobot, j: int) -> Range | None:
