@@ -59,7 +59,7 @@ def _cut(surface: Surface, depth: F64) -> Surface:
         return whole
     # Turned so that the first corner is the one that is alone on its side.
     alone = np.argmax(inside[crossed] == (count[crossed] == 1)[:, None], axis=1)
-    corners = surface.triangles[crossed[:, None], (alone[:, None] + np.arange(3)) % 3]
+    corners = np.take_along_axis(surface.triangles[crossed], (alone[:, None] + np.arange(3)) % 3, axis=1)
     edges = np.sort(np.stack([corners[:, [0, 1]], corners[:, [0, 2]]], 1).reshape(-1, 2), axis=1)
     unique, new = np.unique(edges, axis=0, return_inverse=True)
     part = (depth[unique[:, 0]] / (depth[unique[:, 0]] - depth[unique[:, 1]]))[:, None]

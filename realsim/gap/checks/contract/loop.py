@@ -197,7 +197,7 @@ def _history(values: F64, term: Term, loop: Loop) -> F64:
     """(K, length, W), oldest first; before the first moment there was the first moment."""
     held = term.history if loop.length is None else min(loop.length, term.history)
     back = np.minimum(np.arange(term.history)[::-1], held - 1) * loop.skipped
-    rows = values[np.clip(np.arange(len(values))[:, None] - back[None], 0, None)]
+    rows = values[np.maximum(np.arange(len(values))[:, None] - back, 0)]
     return rows[:, ::-1] if loop.newest_first else rows
 
 
@@ -229,7 +229,7 @@ def _images(camera: Camera, run: Run, blank: float) -> F64:
     measured = np.isfinite(run.frames) & (run.frames > 0)
     image = np.where(measured, np.clip((np.nan_to_num(run.frames) - near) / (far - near), 0, 1), 1.0)
     back = np.arange(camera.shape[0]) * camera.stride
-    return image[np.clip(np.arange(len(image))[:, None] - back[None], 0, None)]
+    return image[np.maximum(np.arange(len(image))[:, None] - back, 0)]
 
 
 def _with_unknown(
