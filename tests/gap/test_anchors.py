@@ -23,7 +23,7 @@ from .searching import flights
 from .truth import Truth
 
 CONFIG = DiagnoseConfig(threads=1, bootstrap=50)
-EFFECTS = replace(CONFIG, effects=("payload", "com_offset", "external_force", "viscous_friction", "thrust_gain"))
+EFFECTS = replace(CONFIG, effects=("payload", "com_offset", "thrust_gain"))
 
 
 @pytest.fixture(scope="module")

@@ -5,6 +5,7 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -152,6 +153,15 @@ def install(folder: Path, source: str) -> None:
     (folder / "my_robot-1.0.dist-info" / "entry_points.txt").write_text(points)
 
 
+def realsim_with(packages: Path, *commands: Sequence[object]) -> subprocess.CompletedProcess[str]:
+    """Commands one after the other, each followed by its exit code, in a process that has packages of a folder."""
+    code = "import json, sys\nfrom realsim.cli.command_line import main\nfor command in json.loads(sys.argv[1]): "
+    code += "print('exit code', main(command), flush=True)"
+    paths = os.pathsep.join(filter(None, (str(packages), os.environ.get("PYTHONPATH"))))
+    arguments = [sys.executable, "-c", code, json.dumps([list(map(str, command)) for command in commands])]
+    return subprocess.run(arguments, env=os.environ | {"PYTHONPATH": paths}, capture_output=True, text=True)
+
+
 def test_an_effect_of_an_installed_package_is_found_where_it_was_injected(tmp_path: Path) -> None:
     """The one of docs/extending.md: a spring at the elbow, of which the model knows nothing."""
     page = (Path(realsim.__file__).parents[1] / "docs" / "extending.md").read_text(encoding="utf-8")
@@ -160,15 +170,9 @@ def test_an_effect_of_an_installed_package_is_found_where_it_was_injected(tmp_pa
     spring = ARM.replace('name="elbow"', 'name="elbow" stiffness="6"')
     folder = make_case(tmp_path / "case", spring, Truth(), runs=3, seed=3, span=(2.6, 3.2))
     (folder / "model.xml").write_text(ARM)
-    paths = os.pathsep.join(filter(None, (str(tmp_path), os.environ.get("PYTHONPATH"))))
     options = ["--out", tmp_path / "out", "--effects", "return_spring", *RIVALS, "--bootstrap", "50"]
-    run = subprocess.run(
-        [sys.executable, "-m", "realsim", "diagnose", folder, *options],
-        env=os.environ | {"PYTHONPATH": paths},
-        capture_output=True,
-        text=True,
-    )
-    assert run.returncode == 0, run.stderr
+    run = realsim_with(tmp_path, ["diagnose", folder, *options])
+    assert run.stdout.endswith("exit code 0\n"), run.stderr
     found = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
     assert found["verdict"] == "identified"
     (cause,) = found["causes"]
@@ -193,21 +197,16 @@ def test_an_installed_effect_that_fails_is_named_with_its_package(tmp_path: Path
     """Neither a traceback nor a candidate that is left out without a word."""
     install(tmp_path, BROKEN)
     folder = make_case(tmp_path / "case", ARM, Truth(), runs=2, seed=3, span=(2.6, 3.2))
-    paths = os.pathsep.join(filter(None, (str(tmp_path), os.environ.get("PYTHONPATH"))))
-
-    def realsim(*options: str | Path) -> subprocess.CompletedProcess[str]:
-        env = os.environ | {"PYTHONPATH": paths}
-        return subprocess.run([sys.executable, "-m", "realsim", *options], env=env, capture_output=True, text=True)
-
-    run = realsim("diagnose", folder, "--out", tmp_path / "out", "--effects", "return_spring", *RIVALS)
-    assert run.returncode == 2
+    tried = ["diagnose", folder, "--out", tmp_path / "out", "--effects", "return_spring", *RIVALS]
+    run = realsim_with(tmp_path, tried, ["diagnose", "--explain", "return_spring"])
+    _, explained, _ = run.stdout.split("exit code ")
+    assert explained.startswith("2\n")
+    assert run.stdout.endswith("exit code 0\n")
     for text in ("`apply` of the effect 'return_spring'", "KeyError: 'nothing'", "my_robot.spring:EFFECT"):
         assert text in " ".join(run.stderr.split())
     assert not (tmp_path / "out").exists()
-    explained = realsim("diagnose", "--explain", "return_spring")
-    assert explained.returncode == 0
-    assert "\n\n\n" not in explained.stdout
-    assert "looks like" not in explained.stdout  # it has no words for that
+    assert "\n\n\n" not in explained
+    assert "looks like" not in explained  # it has no words for that
 
 
 @pytest.mark.parametrize("source", ["EFFECT = 3", "", "import nothing_of_that_name"])
