@@ -51,7 +51,8 @@ def test_diagnose(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.slow
 def test_reconstruct(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """More coarsely than a reader's own run. The example finds the stages of the notebook's capture made."""
-    coarse = partial(ReconstructConfig, mesh=MeshConfig(resolution=0.03), scene=SceneConfig(contact_probes=200))
+    quick = SceneConfig(contact_probes=200, contact="hfield")
+    coarse = partial(ReconstructConfig, mesh=MeshConfig(resolution=0.03), scene=quick)
     monkeypatch.setattr(pipeline, "ReconstructConfig", coarse)
     monkeypatch.setenv("REALSIM_CACHE", str(tmp_path / "cache"))
     known = run("reconstruct", tmp_path, monkeypatch)

@@ -1,10 +1,8 @@
 """The log of a deployment, and the loop that begins with it, at toy size on the quadruped that ships."""
 
 import json
-import os
 import shutil
-import subprocess
-import sys
+import tempfile
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -170,16 +168,23 @@ def test_a_further_run_that_cannot_be_written_leaves_the_case_as_it_was(
     Path(str(error.value.hint).rpartition(" ")[2]).unlink()
 
 
-def test_a_run_that_can_be_kept_nowhere_leaves_no_part_of_it(tmp_path: Path) -> None:
-    """A limit on the size of files, which no look at the free space tells: in a process of its own."""
-    code = (
-        "import resource, sys; from pathlib import Path; from tests.trainer.test_close import run\n"
-        "resource.setrlimit(resource.RLIMIT_FSIZE, (9000, 9000)); run(Path(sys.argv[1]) / 'case')"
-    )
-    limited = subprocess.run(
-        [sys.executable, "-c", code, str(tmp_path)], env=os.environ | {"TMPDIR": str(tmp_path)}, capture_output=True
-    )
-    assert b"it could not be kept elsewhere either" in limited.stderr
+def test_a_run_that_can_be_kept_nowhere_leaves_no_part_of_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As with a limit on the size of files, which no look at the free space tells."""
+    begin = tempfile.NamedTemporaryFile
+
+    def full(*_: object) -> None:
+        raise OSError(27, "File too large")
+
+    def begun(**options: Any) -> Any:
+        file = begin(**options, dir=tmp_path)
+        file.write = full
+        return file
+
+    monkeypatch.setattr(logs, "write_bytes", full)
+    monkeypatch.setattr(tempfile, "NamedTemporaryFile", begun)
+    with pytest.raises(TrainerError, match="could not be written") as error:
+        run(tmp_path / "case")
+    assert "it could not be kept elsewhere either" in str(error.value.hint)
     assert not list(tmp_path.iterdir())
 
 
