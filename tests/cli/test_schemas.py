@@ -61,7 +61,8 @@ def test_scenes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     trimesh.creation.box((0.6, 0.4, 0.3)).export(tmp_path / "a.stl")
     (tmp_path / "empty.stl").write_text("solid nothing\nendsolid nothing\n")
     meshes = (tmp_path / "a.stl", tmp_path / "empty.stl")
-    two = said(capsys, "contact", *meshes, "--out", tmp_path / "ab", "--contact-probes", 100, code=1)
+    quick = ("--contact-probes", 100, "--contact", "hull")
+    two = said(capsys, "contact", *meshes, "--out", tmp_path / "ab", *quick, code=1)
     assert [item["result"]["schema"] for item in two["items"]] == ["realsim.contact/1", schemas.ERROR]
     assert said(capsys, "export", tmp_path / "ab" / "a.stl", "--to", "obj,mjcf")["formats"]["obj"]
 

@@ -11,11 +11,11 @@ import torch
 from tests.trainer.fakes import course
 from tests.trainer.task_env import QUIET, env_of, outcome, still
 from trainer.ppo.config import PPOConfig
-from trainer.tasks.parkour.config import CommandConfig
+from trainer.tasks.parkour.config import CommandConfig, TerminationConfig
 from trainer.trainers import Scene
 from trainer.trainers.ladder import helped
 
-PAPER = replace(QUIET, command=CommandConfig(speed=(0.6, 0.6)))
+PAPER = replace(QUIET, command=CommandConfig(speed=(0.6, 0.6)), termination=TerminationConfig(seconds=10.0))
 HELPED = helped(Scene((course(),)), PAPER)[1]
 HELPED = replace(HELPED, reset=PAPER.reset)
 
