@@ -20,7 +20,7 @@ from realsim.synth.truth import read_truth
 @pytest.fixture(scope="module")
 def kinect(tmp_path_factory: pytest.TempPathFactory) -> tuple[FrameSet, Path]:
     folder = tmp_path_factory.mktemp("kinect") / "made"
-    config = SynthConfig("mixed", 16, True, sensor="kinect", width=320, pose_error=0.01, depth_scale=1.0)
+    config = SynthConfig("mixed", 24, True, sensor="kinect", width=320, pose_error=0.01, depth_scale=1.0)
     made = write_capture(folder, config)
     found = capture.read(made.capture, CaptureConfig(keep_blurred=True))
     assert isinstance(found, FrameSet)

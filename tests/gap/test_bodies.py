@@ -77,7 +77,7 @@ def test_joints_of_the_model_are_not_left_out_silently(tmp_path: Path) -> None:
 @pytest.mark.skipif(not CRAZYFLIE.is_dir(), reason="needs the logs of REALSIM_SHARED")
 def test_a_weight_beside_a_rotor_is_named_with_its_place() -> None:
     """3.9 g beside motor 3, which sits at (-0.033, 0.033) m."""
-    config = DiagnoseConfig(threads=1, report=False, bootstrap=50, effects=RIVALS, max_runs=3)
+    config = DiagnoseConfig(threads=1, report=False, bootstrap=50, effects=RIVALS)
     found = diagnose(load_case(CRAZYFLIE), config)
     weight = found.causes[0]
     assert weight["effect"] == "payload"

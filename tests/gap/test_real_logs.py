@@ -57,7 +57,7 @@ def test_swing_ups_with_feedback_are_diagnosed_from_states_of_the_log(
         pendulum(shared("real_logs"), tmp_path / "case", ["energy_shaping_nominal", "sac", "pd_1nm_limit"])
     )
     rivals = ("coulomb_friction", "viscous_friction", "payload")
-    found = diagnose(case, replace(CONFIG, effects=rivals, bootstrap=50, max_seconds=5.0))
+    found = diagnose(case, replace(CONFIG, effects=rivals, bootstrap=50))
     assert found.causes[0]["effect"] == "coulomb_friction"
     assert found.causes[0]["parameters"]["friction"]["value"] == pytest.approx(0.2, abs=0.05)
     assert found.shrinkage["fraction"] > 0.9
