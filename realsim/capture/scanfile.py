@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from realsim.capture.pcdfile import read_columns, read_header, unpack_rgb
 from realsim.core.errors import CaptureError, MissingExtraError, RealsimError
 from realsim.core.files import check_size, read_bytes, read_head
+from realsim.core.glbfile import check_glb
 from realsim.core.objfile import parse_obj
 from realsim.core.types import F64, U8
 
@@ -188,6 +189,7 @@ def read_obj(path: Path) -> RawScan:
 
 def read_glb(path: Path) -> RawScan:
     """All meshes of a glTF file in its world, which has y up and metres."""
+    check_glb(read_bytes(path, MAX_SCAN_BYTES), path)
     raw = _load(path)
     return replace(raw, up=(0.0, 1.0, 0.0), notes=("y is up (glTF)", *raw.notes))
 
@@ -197,7 +199,9 @@ def _load(path: Path) -> RawScan:
     import trimesh
 
     data = io.BytesIO(read_bytes(path, MAX_SCAN_BYTES))
-    scene = trimesh.load_scene(data, file_type=path.suffix.lower()[1:], process=False)
+    suffix = path.suffix.lower()
+    # Of a PLY that names a picture, trimesh would look for it and log a traceback.
+    scene = trimesh.load_scene(data, file_type=suffix[1:], process=False, skip_materials=suffix == ".ply")
     parts = []
     for node in scene.graph.nodes_geometry:
         T, name = scene.graph[node]

@@ -1,5 +1,6 @@
 """Wavefront OBJ: all faces of all objects and groups, by absolute or relative indices."""
 
+import codecs
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,7 +39,8 @@ def parse_obj(data: bytes) -> ObjMesh:
     corners: list[int] = []
     sizes: list[int] = []
     bad = 0
-    for line in data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines():
+    for line in _plain(data).replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines():
+        line = line.lstrip()
         if line[:2] not in STARTS:
             continue
         kind, *words = line.split()
@@ -61,6 +63,13 @@ def parse_obj(data: bytes) -> ObjMesh:
         bad += int((~sound).sum())
         starts, size = starts[sound], size[sound]
     return ObjMesh(vertices, _triangles(vertices, index, starts, size), colors, faces, bad)
+
+
+def _plain(data: bytes) -> bytes:
+    """Text without the mark that Windows programs put before it, which would hide the first vertex and so shift all."""
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return data.decode("utf-16").encode()
+    return data.removeprefix(codecs.BOM_UTF8)
 
 
 def _face(words: list[bytes], above: int) -> list[int] | None:

@@ -15,6 +15,7 @@ from realsim.core.geometry import error_grid
 from realsim.core.progress import note
 from realsim.core.types import F64, SceneFiles
 from realsim.export.config import SceneConfig
+from realsim.export.contact.islands import PIT_AREA
 from realsim.export.contact.shape import Solids
 from realsim.export.ground import DEEP, GroundLevel, ground_level, hidden_cm2
 from realsim.export.mend import read_mesh
@@ -69,7 +70,7 @@ def contact_mesh(
         raise _under_the_ground(mesh, ground, f"{hidden:.0f} cm2 of its surface below")
     contact = dict(files.contact) | {"mesh": mesh.name, "ground_z": ground.z, "ground": ground.said}
     contact |= {"hidden_cm2": hidden, "mended": list(made.notes), "up": made.up.axis}
-    contact |= {"origin_m": made.origin.tolist(), "question": made.up.question}
+    contact |= {"origin_m": made.origin.tolist(), "question": made.question}
     contact["missing_area_cm2"] = round(contact["missing_area_cm2"] + hidden, 2)
     contact["verdict"] = contact_verdict(contact, config.contact_tolerance)
     write_text(folder / "contact.json", to_json(contact | {"files": file_digests(folder)}))
@@ -100,7 +101,7 @@ def contact_verdict(contact: Mapping[str, Any], tolerance: tuple[float, float]) 
     bad, look, todo = [], [], []
     if contact.get("question"):
         look.append(contact["question"])
-        todo.append("say which axis points up: --up z or --up y")
+        todo.append("answer the question by the option that it names")
     if contact["leaks"]:
         bad.append(
             f"{contact['leaks']} of {contact['leak_objects']} balls thrown onto it fell into what should be solid."
@@ -108,7 +109,8 @@ def contact_verdict(contact: Mapping[str, Any], tolerance: tuple[float, float]) 
         todo.append("try another --contact (hybrid, convex, hfield), or close the holes of the mesh")
         todo.append("if it is a scan of a place, which has a floor and holes: realsim reconstruct MESH --out scene")
     if contact["hidden_cm2"]:
-        bad.append(f"{contact['hidden_cm2']:.0f} cm2 of the mesh lie below the ground and are not in the scene.")
+        said = bad if contact["hidden_cm2"] > 1e4 * PIT_AREA else look
+        said.append(f"{contact['hidden_cm2']:.0f} cm2 of the mesh lie below the ground and are not in the scene.")
         todo.append("leave out --ground-z, or give the height at which the mesh stands")
     for name, found, most in zip(("median", "p95"), (contact["median_mm"], contact["p95_mm"]), tolerance, strict=True):
         if not found <= 1000 * most:

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.core.errors import ExportError
-from realsim.core.files import check_size
+from realsim.core.files import check_size, read_bytes
+from realsim.core.glbfile import check_glb
 from realsim.core.meshes import (
     across,
     areas,
@@ -39,6 +40,7 @@ MAX_TRIANGLES = 5_000_000
 THIN = 0.1  # width of a sliver seen from above, in lengths; set by hand on made nets of points
 RAYS = 96  # a side of the grid of rays that look at a mesh from above
 VAST = 50.0  # metres: larger than what a robot is taken across, so that the unit has to be given
+TALL = 8.0  # metres: it may be furniture in cm or inches; the benchmarks' meshes and rooms are at most 3 m high
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,8 @@ class MeshFile(Mended):
     """(3,) metres that were taken from the file's coordinates (z up)."""
     up: Up
     """Which axis of the file points up, and how that was found."""
+    question: str | None
+    """What to ask the user where the axis or the unit may be another."""
 
 
 def read_mesh(path: Path, unit: str | None = None, up: str = "auto") -> MeshFile:
@@ -112,7 +116,16 @@ def read_mesh(path: Path, unit: str | None = None, up: str = "auto") -> MeshFile
             error.message, file=path, expected=error.expected, found=error.found, hint=error.hint
         ) from error
     notes = [*found.notes, *notes, *mended.notes]
-    return MeshFile(mended.terrain, tuple(notes), mended.solids, mended.rest, origin, found)
+    asked = [found.question, None if unit or origin.any() else _ask_unit(mended.terrain.vertices)]
+    question = " ".join(filter(None, asked)) or None
+    return MeshFile(mended.terrain, tuple(notes), mended.solids, mended.rest, origin, found, question)
+
+
+def _ask_unit(vertices: F64) -> str | None:
+    """The question whether the unit of a mesh (V, 3) is metres, where it is too high to be sure."""
+    size, (_, _, height) = float(np.ptp(vertices, 0).max()), np.ptp(vertices, 0)
+    others = [f"{height * scale:.2g} m (--unit {name})" for name, scale in UNITS.items() if 0.02 < size * scale < size]
+    return f"The mesh may be {height:.2g} m high (--unit m), or {' or '.join(others)}." if height > TALL else None
 
 
 def _check_unit(vertices: F64, unit: str | None, *, surveyed: bool) -> None:
@@ -141,6 +154,8 @@ def _read(path: Path) -> tuple[F64, NDArray[np.int64], list[str]]:
 
     check_size(path)
     suffix = path.suffix.lower()
+    if suffix == ".glb":
+        check_glb(read_bytes(path), path)
     try:
         if suffix == ".obj":
             mesh = parse_obj(path.read_bytes())

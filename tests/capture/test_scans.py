@@ -180,6 +180,14 @@ def test_gltf_scenes_are_flattened_and_textures_said(tmp_path):
     assert any("2 meshes" in a for a in scan.assumptions)
 
 
+def test_a_picture_that_a_ply_names_is_not_looked_for(tmp_path, caplog):
+    terrain().export(tmp_path / "a.ply")
+    data = (tmp_path / "a.ply").read_bytes().replace(b"element vertex", b"comment TextureFile a.jpg\nelement vertex", 1)
+    (tmp_path / "a.ply").write_bytes(data)
+    assert scan_of(tmp_path / "a.ply").triangles is not None
+    assert not caplog.records
+
+
 def test_points_that_are_nan_are_left_out_but_vertices_are_refused(tmp_path):
     text = "v 0 0 0\nv 2 0 0\nv 2 1 0\nv nan 1 0\n"
     (tmp_path / "cloud.obj").write_text(text)

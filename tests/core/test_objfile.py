@@ -53,3 +53,10 @@ def test_colors_of_vertices() -> None:
     assert parse_obj(b"v 0 0 0 1\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").colors is None
     with pytest.raises(ValueError, match="coordinates"):
         parse_obj(b"v 0 0\n")
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_a_mark_before_the_text_and_indents_hide_no_vertex(encoding: str) -> None:
+    text = "  " + TETRAHEDRON.replace("\n", "\n  ") + "f 1 3 2\n\tf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+    np.testing.assert_array_equal(parse_obj(text.encode(encoding)).vertices[1], [1, 0, 0])
+    assert area(parse_obj(text.encode(encoding))) == pytest.approx(1.5 + 3**0.5 / 2)

@@ -1,18 +1,23 @@
 """Meshes as strangers have them: the same scene as of the clean file, or a sentence that says why not."""
 
+import json
+import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
+from manifold3d import CrossSection, FillRule, Manifold
 from scipy.spatial import Delaunay
 
-from realsim.core.errors import ExportError
+from realsim.capture.scanfile import read_scan
+from realsim.core.errors import ExportError, RealsimError
 from realsim.export import contact_mesh
 from realsim.export.config import SceneConfig
 from realsim.export.contact.boxes import boxes
 from realsim.export.contact.choose import is_exact
 from realsim.export.contact.probe import BALL, SimTouch, spec_of
+from realsim.export.contact.seams import parts_of
 from realsim.export.contact.shape import Shape
 from realsim.export.ground import ground_level
 from realsim.export.mend import mend, read_mesh
@@ -190,6 +195,50 @@ def test_where_both_axes_are_plausible_it_asks_and_is_not_good(tmp_path: Path) -
     assert "--up z or --up y" in contact["verdict"]["reasons"][0]
     (tmp_path / "told").mkdir()
     assert contact_mesh(path, tmp_path / "told", SceneConfig(contact_probes=200), up="z").contact["question"] is None
+
+
+def test_furniture_in_another_unit_is_asked_about(tmp_path: Path) -> None:
+    """A crate in cm and a chair in inches are less than 50 m across; low ground of that size is no question."""
+    crate, ground = put_together(((0, 0, 12.5), (40, 30, 25))), put_together(((0, 0, -0.5), (40, 30, 1)))
+    (tmp_path / "out").mkdir()
+    crate.export(tmp_path / "crate.stl")
+    contact = contact_mesh(tmp_path / "crate.stl", tmp_path / "out", SceneConfig(contact_probes=200)).contact
+    assert contact["verdict"]["level"] == "look"
+    assert "25 m high (--unit m), or 0.25 m (--unit cm)" in contact["verdict"]["reasons"][0]
+    assert read_mesh(tmp_path / "crate.stl", unit="cm").question is None
+    ground.export(tmp_path / "ground.stl")
+    assert read_mesh(tmp_path / "ground.stl").question is None
+
+
+def test_geometry_of_a_glb_that_is_not_read_is_refused(tmp_path: Path) -> None:
+    """Packed, or placed by an extension: it would be zeros, or one thing of many."""
+    for key, name in (
+        ("extensionsRequired", "KHR_draco_mesh_compression"),
+        ("extensionsUsed", "EXT_mesh_gpu_instancing"),
+    ):
+        exported = put_together(*STEPS).export(file_type="glb")
+        size = int.from_bytes(exported[12:16], "little")
+        head = json.dumps(json.loads(exported[20 : 20 + size]) | {key: [name]}).encode()
+        head += b" " * (-len(head) % 4)
+        rest = exported[20 + size :]
+        start = b"glTF" + struct.pack("<III4s", 2, 20 + len(head) + len(rest), len(head), b"JSON")
+        (tmp_path / "a.glb").write_bytes(start + head + rest)
+        for read in (read_mesh, read_scan):
+            with pytest.raises(RealsimError, match=name):
+                read(tmp_path / "a.glb")
+
+
+def test_a_hollow_of_facets_has_no_slots_between_its_parts() -> None:
+    """A quarter pipe: between two planes one line of columns was left, 5 mm wide, of no plane: feet fell into it."""
+    angles = np.linspace(0, 0.93 * np.pi / 2, 25)
+    curve = np.column_stack([1 + 1.2 * np.sin(angles), 1.22 - 1.2 * np.cos(angles)])
+    outline = [(-3.2, 0), (-3.2, curve[-1, 1]), *(curve * [-1, 1])[::-1], *curve, (3.2, curve[-1, 1]), (3.2, 0)]
+    solid = Manifold.extrude(CrossSection([np.array(outline)], FillRule.NonZero), 2.0).rotate([90, 0, 0]).to_mesh64()
+    mesh = mend(np.asarray(solid.vert_properties)[:, :3], np.asarray(solid.tri_verts)).terrain
+    parts, _ = parts_of(boxes(Shape(mesh, 0.0), SceneConfig()))
+    x = np.linspace(1.0, 2.1, 1100)
+    below = np.column_stack([x, np.full(len(x), -1.0), 1.22 - np.sqrt(1.44 - (x - 1) ** 2) - 0.02])
+    assert np.any([part.contains(below, 1e-6) for part in parts], axis=0).all()
 
 
 def test_unused_vertices_are_no_cut_off_file(tmp_path: Path) -> None:

@@ -154,7 +154,8 @@ def _with_ledges(z: F64, labels: NDArray[np.int64], planes: F64, off: F64) -> tu
 
 
 def _without_crumbs(pairs: NDArray[np.int64], width: int, top_cost: Misfit, bottom_cost: Misfit) -> NDArray[np.int64]:
-    """Pieces of fewer than SMALLEST cells go to the neighbour that suits them best."""
+    """Pieces of fewer than SMALLEST cells go to the neighbour that suits them best, and so do those one cell wide: they
+    have no outline, and would be a slot."""
     from scipy import ndimage
 
     labels = pairs.copy()
@@ -162,9 +163,11 @@ def _without_crumbs(pairs: NDArray[np.int64], width: int, top_cost: Misfit, bott
         if place is None:
             continue
         pieces, count = ndimage.label(pairs[place] == name)
-        sizes = np.bincount(pieces.ravel(), minlength=count + 1)
-        sizes[0] = SMALLEST
-        labels[place][(sizes < SMALLEST)[pieces]] = -1
+        wide = ndimage.binary_opening(pieces > 0, np.ones((2, 2)))
+        crumb = np.bincount(pieces.ravel(), minlength=count + 1) < SMALLEST
+        crumb |= np.bincount(pieces[wide], minlength=count + 1) == 0
+        crumb[0] = False
+        labels[place][crumb[pieces]] = -1
 
     def cost(pair: NDArray[np.int64], *at: Any) -> F64:
         top, bottom = np.divmod(np.maximum(pair, 0), width)
