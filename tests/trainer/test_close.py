@@ -209,6 +209,19 @@ def test_close_stops_where_the_contract_is_broken_and_goes_on_where_it_was(case:
         close(other, TrainConfig(), base_of("quadruped"), "boxes:0.3:1", out)
 
 
+def test_a_healthy_robot_keeps_its_policy(case: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its own simulator's log had ended in a page that asks for a look: `no_gap names nothing`."""
+    import realsim as rs
+    from realsim.results import GapVerdict
+
+    found = SimpleNamespace(verdict=GapVerdict("no_gap"), sentence="No gap.", causes=())
+    monkeypatch.setattr(rs, "diagnose", lambda *_, **__: found)
+    said = close(case, TrainConfig(), base_of("quadruped"), "boxes:0.2:1", tmp_path)
+    assert "nothing to do" in said.text
+    assert 'class="verdict good"' in (tmp_path / "report.html").read_text()
+    assert said.data["training"] == {}
+
+
 @pytest.mark.slow
 def test_close_fine_tunes_for_what_the_log_shows(case: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The whole loop on the quadruped, with a diagnosis of weak motors that is given: one iteration, a few trials."""

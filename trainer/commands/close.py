@@ -131,6 +131,8 @@ def _lines(contract: dict[str, Any], found: dict[str, Any], tuned: dict[str, Any
     if not contract["kept"]:
         return [*lines, ("stopped", "mend the deployment first: a diagnosis would blame the robot for it")]
     lines += [("diagnosis", found["sentence"]), *(("cause", c) for c in found["causes"])]
+    if found["verdict"] == "no_gap":
+        return [*lines, ("nothing to do", "the robot moves as the simulator does: its policy stays as it is")]
     if not found["trained_for"]:
         return [*lines, ("stopped", f"the verdict {found['verdict']} names nothing that a policy can be trained for")]
     for name in ("before", "after"):
@@ -150,8 +152,8 @@ def _page(
 ) -> str:
     from realsim.report import page
 
-    better = bool(tuned.get("verdict") and tuned["verdict"]["better"])
-    level: page.Level = "good" if better else ("bad" if not contract["kept"] else "look")
+    well = found.get("verdict") == "no_gap" or bool(tuned.get("verdict") and tuned["verdict"]["better"])
+    level: page.Level = "good" if well else ("bad" if not contract["kept"] else "look")
     last = lines[-1]
     parts = [
         page.verdict(level, f"{last[0]}: {last[1]}", [f"{name}: {text}" for name, text in lines[:-1]]),
