@@ -41,6 +41,12 @@ LOOK = np.array([[0.0, 0, -1], [-1, 0, 0], [0, 1, 0]])
 """Columns: right, up and back of a MuJoCo camera (it looks along -z with y up) that faces +x of its mount."""
 
 
+def add_body(parent: Any, row: dict[str, Any]) -> Any:
+    """A body by a row of a robot's table: place in its parent, mass, centre of mass, principal inertia."""
+    names = {"com": "ipos", "inertia_quat": "iquat", "inertia_diag": "inertia"}
+    return parent.add_body(explicitinertial=True, **{names.get(k, k): v for k, v in row.items() if k != "parent"})
+
+
 def add_servo(spec: Any, joint: str, kp: float, kd: float, effort: float) -> None:
     """A position servo of the joint's name: ctrl is the target angle, rad.
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from realsim.robots.base import Robot, add_camera, add_servo, holding_ctrl
+from realsim.robots.base import Robot, add_body, add_camera, add_servo, holding_ctrl
 
 NATURAL_FREQUENCY = 2 * pi * 10  # rad/s, of every servo with its reflected inertia
 DAMPING_RATIO = 2.0
@@ -65,7 +65,7 @@ def g1(keyframe: str = "HOME_KEYFRAME") -> Robot:
     spec.compiler.degree = False
     bodies = {"world": spec.worldbody}
     for row in figures["bodies"]:
-        bodies[row["name"]] = _add_body(bodies[row["parent"]], row)
+        bodies[row["name"]] = add_body(bodies[row["parent"]], row)
     pelvis = bodies["pelvis"]
     pelvis.pos = pose["base_pos"]
     pelvis.add_freejoint(name="floating_base")
@@ -93,19 +93,6 @@ def g1(keyframe: str = "HOME_KEYFRAME") -> Robot:
     qpos = np.array([*pose["base_pos"], 1, 0, 0, 0, *(home.get(name, 0.0) for name in joints)])
     spec.add_key(name="home", qpos=qpos, ctrl=holding_ctrl(spec.compile(), qpos, ("left_foot", "right_foot")))
     return Robot("g1", spec, "pelvis", float(pose["base_pos"][2]), home)
-
-
-def _add_body(parent: Any, row: dict[str, Any]) -> Any:
-    return parent.add_body(
-        name=row["name"],
-        pos=row["pos"],
-        quat=row["quat"],
-        mass=row["mass"],
-        ipos=row["com"],
-        iquat=row["inertia_quat"],
-        inertia=row["inertia_diag"],
-        explicitinertial=True,
-    )
 
 
 def motors_by_joint(figures: dict[str, Any]) -> dict[str, dict[str, Any]]:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from realsim.core.geometry import R_to_quat, exp_so3, quat_to_R
-from realsim.robots.base import Robot, add_camera, add_servo, holding_ctrl
+from realsim.robots.base import Robot, add_body, add_camera, add_servo, holding_ctrl
 from realsim.robots.quadruped import Mount
 
 LEGS = ("FL", "FR", "RL", "RR")
@@ -41,15 +41,7 @@ def go2() -> Robot:
     spec.compiler.degree = False
     bodies = {"world": spec.worldbody}
     for row in figures["bodies"]:
-        bodies[row["name"]] = bodies[row["parent"]].add_body(
-            name=row["name"],
-            pos=row["pos"],
-            mass=row["mass"],
-            ipos=row["com"],
-            iquat=row["inertia_quat"],
-            inertia=row["inertia_diag"],
-            explicitinertial=True,
-        )
+        bodies[row["name"]] = add_body(bodies[row["parent"]], row)
     bodies["base"].add_freejoint(name="floating_base")
     for row in figures["joints"]:
         effort = motors["calf_effort_limit" if "calf" in row["name"] else "hip_and_thigh_effort_limit"]
