@@ -57,7 +57,7 @@ class Roots:
                 file=text,
                 expected=expected,
                 found=str(found),
-                hint="start the server with --root of the folder that holds it",
+                hint="start it with the folder that holds it: realsim app FOLDER, realsim mcp --root FOLDER",
             )
         return found
 

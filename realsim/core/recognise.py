@@ -15,7 +15,7 @@ from itertools import islice
 from pathlib import Path
 from typing import ParamSpec, TypeVar
 
-from realsim.core.errors import RealsimError, did_you_mean
+from realsim.core.errors import MissingExtraError, RealsimError, did_you_mean
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -251,6 +251,8 @@ def explain_inputs(function: Callable[P, T], takes: Mapping[str, Collection[str]
     def called(*args: P.args, **kwargs: P.kwargs) -> T:
         try:
             return function(*args, **kwargs)
+        except MissingExtraError:  # whatever was given, that comes first
+            raise
         except RealsimError as error:
             given = inspect.signature(function).bind_partial(*args, **kwargs).arguments
             inputs = [(n, p) for n, v in given.items() for p in (v if isinstance(v, tuple) else (v,))]

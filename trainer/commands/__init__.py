@@ -50,7 +50,7 @@ COMMANDS = {
         "a policy in a 50 Hz loop on a robot, MuJoCo in place of the real one",
         "realsim deploy tuned/policy.onnx --scene scene",
         _GROUP,
-        "recon",
+        "train",
         takes={"policy": ("network",)},
     ),
     "close": Command(

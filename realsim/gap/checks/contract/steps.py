@@ -86,8 +86,10 @@ def read_steps(case: Case, camera: Camera | None = None) -> Steps:
     ):  # fmt: skip
         if not case.has(signal):
             raise GapError(
-                f"a policy cannot be replayed without {what}", file=case.folder, expected=f"{signal} in each run"
-            )
+                f"a policy cannot be replayed without {what}", file=case.folder, expected=f"{signal} in each run",
+                hint=f"record it; realsim log RECORDING --model {case.folder / 'model.xml'} says why something is "
+                'left out (an IMU needs <site name="imu"/> in the model)',
+            )  # fmt: skip
     if case.command_kind != "position":
         raise GapError("the log does not command positions", file=case.folder, found=case.command_kind)
     joints = [case.joint_names.index(_driven(case, a)) for a in case.actuator_names]
