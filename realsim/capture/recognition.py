@@ -12,6 +12,10 @@ NO_DEPTH = (
     "colour alone makes no scene: record with an app or camera that stores depth (docs/captures.md), or give the mesh "
     "that photogrammetry makes of pictures"
 )
+OTHER_CLOUDS = (".xyz", ".pts", ".ptx", ".asc", ".e57")
+EXPORT = (
+    "export the cloud as .ply, .pcd or .las, with normals if it has any (CloudCompare reads and writes all of them)"
+)
 LAST_RESORT = 1
 """Score of a layout that is only taken where nothing speaks for another one."""
 
@@ -76,7 +80,7 @@ def _not_recognised(path: Path, seen: Mapping[str, Recognition], layouts: Mappin
         file=path,
         expected="one of\n" + "\n".join(f"    {known}: {layout.looks_for}" for known, layout in layouts.items()),
         found=_what_is_there(path),
-        hint=_subfolder_hint(path, layouts) or NO_DEPTH,
+        hint=_subfolder_hint(path, layouts) or (EXPORT if path.suffix.lower() in OTHER_CLOUDS else NO_DEPTH),
     )
 
 

@@ -287,9 +287,9 @@ def test_a_folder_with_one_unorganised_cloud_is_a_scan(tmp_path):
 
 def test_obj_does_not_open_other_files(tmp_path):
     (tmp_path / "inside").mkdir()
-    (tmp_path / "inside/a.obj").write_text("mtllib ../secret.mtl\nv 0 0 0\nv 2 0 0\nv 2 1 0\nusemtl a\nf 1 2 3\n")
+    (tmp_path / "inside/a.obj").write_text("mtllib ../secret.mtl\nv 0 0 0\nv 2 0 0\nv 2 1 0\nv 0 1 0\nusemtl a\nf 1 2 3 4\n")
     (tmp_path / "secret.mtl").write_text("newmtl a\nmap_Kd ../../etc/passwd\n")
-    assert len(scan_of(tmp_path / "inside/a.obj").points) == 3
+    assert len(scan_of(tmp_path / "inside/a.obj").points) == 4
 
 
 def test_inspection_of_a_scan(tmp_path):
@@ -336,3 +336,17 @@ def test_a_wild_point_of_a_cloud_is_said(tmp_path):
         trimesh.PointCloud(points).export(tmp_path / f"{name}.ply")
     assert not read(tmp_path / "near.ply", CaptureConfig()).warnings
     assert any("a single vertex at 1.7e+13" in w for w in read(tmp_path / "far.ply", CaptureConfig()).warnings)
+
+
+@pytest.mark.parametrize("corner", [(3, 0, 0), (1, 1, 0)])
+def test_a_mesh_of_one_triangle_or_without_area_is_refused(corner, tmp_path):
+    trimesh.Trimesh([[0, 0, 0], [1, 0, 0], corner], [[0, 1, 2]], process=False).export(tmp_path / "a.ply")
+    with pytest.raises(CaptureError, match="no surface to stand on"):
+        scan_of(tmp_path / "a.ply")
+
+
+def test_a_cloud_of_another_format_is_to_be_exported(tmp_path):
+    (tmp_path / "a.xyz").write_text("0 0 0\n1 0 0\n")
+    with pytest.raises(CaptureError) as caught:
+        scan_of(tmp_path / "a.xyz")
+    assert ".ply, .pcd or .las" in str(caught.value.hint)

@@ -11,13 +11,15 @@ from realsim.capture.recognition import LAST_RESORT
 from realsim.capture.scanfile import READERS, RawScan, read_scan
 from realsim.capture.standpoint import stood_at
 from realsim.core.errors import CaptureError
-from realsim.core.meshes import local_origin, lonely_vertex, loose_vertices, lost_precision, origin_note
+from realsim.core.meshes import areas, local_origin, lonely_vertex, loose_vertices, lost_precision, origin_note
 from realsim.core.types import F64, Bool, Scan
 
 SUFFIXES = tuple(READERS)
 PLAUSIBLE_EXTENT = (0.2, 100.0)
 """Metres: how long a terrain with its surroundings can be. Beyond, the unit is wrong, or it is a map."""
 USUAL_EXTENT = (0.5, 30.0)
+FLAT = 1e-12
+"""Area of a mesh for the square of its size, below which it is a line: what rounding leaves."""
 SMALLEST = float(np.finfo(np.float32).tiny)
 """Smaller than single precision keeps: such numbers come of damaged bits, not of programs."""
 METRES = (".las", ".laz", ".pcd")
@@ -54,6 +56,13 @@ def read(path: Path, config: CaptureConfig) -> Scan:
             hint="subtract an offset where the scan is exported",
         )
     points = points - origin
+    if raw.triangles is not None and (
+        len(points) < 4 or areas(points, raw.triangles).sum() < FLAT * np.ptp(points) ** 2
+    ):
+        found = f"{len(raw.triangles)} triangles of {len(points)} vertices"
+        raise CaptureError(
+            "the mesh has no surface to stand on", file=source, expected="triangles with an area", found=found
+        )
     count = 0 if raw.triangles is None else int((raw.triangles == np.roll(raw.triangles, 1, axis=1)).any(axis=1).sum())
     # As some programs write them, and as damage does.
     flat = [f"{count} triangles name a vertex twice: they have no area"] if count else []
