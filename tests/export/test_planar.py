@@ -52,3 +52,19 @@ def test_a_part_without_volume_is_known_as_flat() -> None:
     assert Prism(square, slope, slope).flat
     assert Prism(square * [1, 1e-5], np.ones(4), np.zeros(4)).flat
     assert not Prism(square, slope + 0.006, slope).flat
+
+
+def test_a_bit_that_floats_has_no_pillar_below_it() -> None:
+    """A round blob of a scan whose underside is no plane, and one column of it of which a ray missed the underside."""
+    x, y = np.meshgrid(*[(np.arange(14) - 6.5) * CELL] * 2)
+    half = np.sqrt(np.where(np.hypot(x, y) < 0.031, 0.035**2 - x**2 - y**2, np.nan))
+    under = 0.8 - half - 0.008 * (np.arange(14) % 2)
+    under[np.argwhere(np.isfinite(under))[0][0], np.argwhere(np.isfinite(under))[0][1]] = 0.0
+    top = np.where(np.isfinite(half), 0.82, np.nan)
+    seen = np.ones((1, 14, 14), bool)
+    grid = Columns(np.zeros(2), CELL, top[None], seen, under[None], seen)
+    island = Island((0, 0), top, under)
+    found = planar(Terrain(grid, (island,), 0.0, (), 0.003, 3, (0.0, 0.0)), island)
+    bottoms = [float(prism.bottom.min()) for prism in found.prisms]
+    assert bottoms
+    assert min(bottoms) > 0.7

@@ -241,6 +241,19 @@ def test_a_hollow_of_facets_has_no_slots_between_its_parts() -> None:
     assert np.any([part.contains(below, 1e-6) for part in parts], axis=0).all()
 
 
+def test_a_glass_of_thin_walls_stays_open() -> None:
+    """Its walls of 2 mm were made one in sectors whose hulls stood 3 mm into it."""
+    glass = Manifold.cylinder(0.09, 0.035, 0.035, 48) - Manifold.cylinder(0.09, 0.033, 0.033, 48).translate(
+        [0, 0, 0.002]
+    )
+    solid = glass.to_mesh64()
+    mesh = mend(np.asarray(solid.vert_properties)[:, :3], np.asarray(solid.tri_verts)).terrain
+    parts, _ = parts_of(boxes(Shape(mesh, 0.0), SceneConfig()))
+    turn = np.linspace(0, 2 * np.pi, 720)
+    inside = np.column_stack([0.032 * np.cos(turn), 0.032 * np.sin(turn), np.full(720, 0.05)])
+    assert np.any([part.contains(inside, 0.0) for part in parts], axis=0).mean() < 0.05
+
+
 def test_unused_vertices_are_no_cut_off_file(tmp_path: Path) -> None:
     mesh = put_together(*STEPS)
     rows = []

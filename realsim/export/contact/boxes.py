@@ -25,4 +25,4 @@ def boxes(shape: Shape, config: SceneConfig) -> ContactModel:
     whole = shape.fine
     prisms = [prism for island in shape.planar for prism in island.prisms]
     statistics = whole.statistics | {"plane_tolerance_m": whole.tolerance}
-    return overlap(as_contact("boxes", prisms, whole.floor, statistics, shape.solids), whole.tolerance)
+    return overlap(as_contact("boxes", prisms, whole.floor, statistics, shape.solids), whole.tolerance, whole.adds)

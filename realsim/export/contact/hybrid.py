@@ -34,7 +34,7 @@ def hybrid(shape: Shape, config: SceneConfig) -> ContactModel:
             assets.append(Asset.of_points(f"convex_{n}_{k}", part))
             geoms.append(Geom(assets[-1].name, "mesh", asset=assets[-1].name))
     statistics = dict(contact.statistics) | {"parts": len(geoms) - len(fine.floor)}
-    return overlap(ContactModel("hybrid", tuple(geoms), tuple(assets), statistics), fine.tolerance)
+    return overlap(ContactModel("hybrid", tuple(geoms), tuple(assets), statistics), fine.tolerance, fine.adds)
 
 
 def _same_place(fine: Terrain, island: Island, coarse: Terrain) -> set[int]:

@@ -74,6 +74,8 @@ def planar(whole: Terrain, island: Island) -> PlanarIsland:
     lower = upper and segment(np.where(raised, under, np.nan), cell, whole.tolerance, whole.narrowest)
     if not upper or not lower:
         return PlanarIsland((), (), np.inf)
+    if 2 * raised.sum() > inside.sum():
+        lower = _of_all(raised, under, *lower)
     (tops, top_planes), (bottoms, bottom_planes) = upper, lower
     # Plane 0 of the undersides is the ground.
     bottoms = np.where(raised, np.where(bottoms >= 0, bottoms + 1, -1), np.where(inside, 0, -1))
@@ -132,6 +134,24 @@ def _decked(regions: list[_Region], of_top: NDArray[np.bool_], thick: F64) -> li
     return [_Region(first.place, of_top, first.top, first.top - deck * down)] + [
         replace(r, top=r.top - cover * down, cover=cover) for r in hanging
     ]
+
+
+def _of_all(
+    raised: NDArray[np.bool_], under: F64, labels: NDArray[np.int64], planes: F64
+) -> tuple[NDArray[np.int64], F64]:
+    """(labels, planes) of what floats, with a level plane for every piece of its underside that has none, being too
+    small or too round: by a single column whose underside a ray missed, it would be a pillar down to the ground."""
+    from scipy import ndimage
+
+    pieces, count = ndimage.label(raised)
+    bare = np.setdiff1d(np.arange(1, count + 1), pieces[labels >= 0])
+    if not len(bare):
+        return labels, planes
+    new = np.full(count + 1, -1)
+    new[bare] = len(planes) + np.arange(len(bare))
+    level = np.zeros((len(bare), 3))
+    level[:, 2] = ndimage.median(under, pieces, bare)
+    return np.where(new[pieces] >= 0, new[pieces], labels), np.concatenate([planes, level])
 
 
 def _with_ledges(z: F64, labels: NDArray[np.int64], planes: F64, off: F64) -> tuple[NDArray[np.int64], F64]:

@@ -37,17 +37,17 @@ OPPOSED = 0.9
 """Cosine: parts push against each other where they meet face to face. Where they cross, they push to the free side."""
 
 
-def overlap(contact: ContactModel, tolerance: float = 0.0) -> ContactModel:
+def overlap(contact: ContactModel, tolerance: float = 0.0, most: float = np.inf) -> ContactModel:
     """The same representation with parts that reach REACH into their neighbours wherever those are solid.
 
-    First parts whose hull adds nothing (less than half of the `tolerance` of their planes, metres) become one. Then
-    parts grow across whole faces that their neighbours cover, so that a box stays a box; for what is left of a
-    seam, a part is added that spans it.
+    First parts whose hull adds nothing (less than half of the `tolerance` of their planes and than `most`, in metres)
+    become one. Then parts grow across whole faces that their neighbours cover, so that a box stays a box; for what is
+    left of a seam, a part is added that spans it.
     """
     before, others = parts_of(contact)
     named = [g.name for g in contact.geoms if g.type in ("box", "mesh") and not g.visible]
     whole = Whole(before, others)
-    fewer = merged(before, whole, max(ADDS, tolerance / 2))
+    fewer = merged(before, whole, min(max(ADDS, tolerance / 2), most))
     named = [name for name, part in zip(named, fewer, strict=True) if part is not None]
     parts = [part for part in fewer if part is not None]
     near = Neighbours(parts)
