@@ -1,14 +1,14 @@
-"""The fresh seed of the diagnosis beside what is wanted: one engine, every answer."""
+"""The fresh seeds of the diagnosis beside what is wanted: one engine, every answer."""
 
 from collections.abc import Callable, Iterable
 
 from benchmarks.diagnosis import score as gap_score
 from benchmarks.tables.stored import Row, answered, counts, share, stored
 
-FRESH = (3400, "4e9ac28d")
-"""(seed, commit of the engine) that README and REPORT show."""
-DRAWN = 55
-"""Cases of that seed."""
+ENGINE = "e49e0c4f"
+"""Commit of the engine that README and REPORT show."""
+DRAWN = {3600: 40, 3601: 27}
+"""Fresh seed -> its cases; three of 30 draws of the second gave no case (`make_case`)."""
 FIXED, WALKING = ("pendulum", "arm2", "arm6"), ("quadruped", "g1")
 COLUMNS = {
     "fixed base": FIXED,
@@ -33,7 +33,7 @@ WANTED = {
 
 
 def rows_of() -> list[Row]:
-    return [row for row in stored("diagnosis")["rows"] if (row["seed"], row["commit"]) == FRESH]
+    return [row for row in stored("diagnosis")["rows"] if row["commit"] == ENGINE and row["seed"] in DRAWN]
 
 
 def fresh() -> list[str]:

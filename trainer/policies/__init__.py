@@ -9,7 +9,7 @@ BASES = {robot: f"{robot}_parkour.pt" for robot in ("g1", "go2", "quadruped")}
 """Robot -> its base."""
 TASKS = {
     "g1": FOLDER / "g1_task.json",
-    "go2": FOLDER / "quadruped_task.json",
+    "go2": FOLDER / "go2_task.json",
     "quadruped": FOLDER / "quadruped_task.json",
 }
 """Robot -> what differs from the paper's task where its base is fine-tuned. It is the task that the base was trained in
