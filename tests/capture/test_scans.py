@@ -287,7 +287,9 @@ def test_a_folder_with_one_unorganised_cloud_is_a_scan(tmp_path):
 
 def test_obj_does_not_open_other_files(tmp_path):
     (tmp_path / "inside").mkdir()
-    (tmp_path / "inside/a.obj").write_text("mtllib ../secret.mtl\nv 0 0 0\nv 2 0 0\nv 2 1 0\nv 0 1 0\nusemtl a\nf 1 2 3 4\n")
+    (tmp_path / "inside/a.obj").write_text(
+        "mtllib ../secret.mtl\nv 0 0 0\nv 2 0 0\nv 2 1 0\nv 0 1 0\nusemtl a\nf 1 2 3 4\n"
+    )
     (tmp_path / "secret.mtl").write_text("newmtl a\nmap_Kd ../../etc/passwd\n")
     assert len(scan_of(tmp_path / "inside/a.obj").points) == 4
 
