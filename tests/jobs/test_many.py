@@ -60,10 +60,11 @@ def test_slurm_that_is_not_there_or_not_so_is_said(tmp_path: Path) -> None:
             run_many(items(tmp_path), tmp_path, ManyConfig(executor="slurm", slurm=slurm))
 
 
-def test_on_a_local_ray_cluster(tmp_path: Path) -> None:
+def test_on_a_local_ray_cluster(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ray = pytest.importorskip("ray", reason="extra `ray` is not installed")
     from ray.cluster_utils import Cluster
 
+    monkeypatch.setenv("RAY_worker_niceness", "0")  # else 15: it waits for whatever else runs
     # A worker less is some seconds less of imports.
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
     try:
