@@ -1,11 +1,18 @@
 """Effects that real robots need: gains far off, a torque that goes with the position, friction of every joint."""
 
+from pathlib import Path
+
+import mujoco
 import numpy as np
 import pytest
 
 from realsim.gap import EFFECTS, DiagnoseConfig, load_case
+from realsim.gap.case.model.context import build_context
+from realsim.gap.case.model.edit import Edit
 from realsim.gap.simulation.simulate import Simulator
 from realsim.gap.simulation.stepping import Waves
+from tests.truths.small_robots import WRIST
+from tests.truths.written import write_case
 
 from .truth import Truth
 
@@ -74,3 +81,24 @@ def test_stribeck_friction_without_more_of_it_at_rest_is_none(arm: Simulator) ->
     np.testing.assert_array_equal(arm.simulate([("stribeck_friction", ("elbow",), plain)])[0], arm.simulate()[0])
     real = plain | {"static_friction": 0.8}
     assert np.abs(arm.simulate([("stribeck_friction", ("elbow",), real)])[0] - arm.simulate()[0]).max() > 1e-3
+
+
+@pytest.mark.parametrize(("name", "values"), [("payload", {"mass": 0.9, "z": 0.1}), ("com_offset", {"x": 0.02})])
+def test_what_makes_up_for_gravity_knows_nothing_of_what_differs(name: str, values: dict, tmp_path: Path) -> None:
+    """0.9 kg at the end of a compensated arm had been found beside a force of 13 N, which was its weight."""
+    time = np.arange(0, 1, 0.01)
+    run = {"time": time, "command": np.tile(np.sin(time)[:, None], 3), "joint_pos": np.zeros((100, 3))}
+    xml = WRIST.replace("<body ", '<body gravcomp="1" ')
+    edit = Edit(build_context(load_case(write_case(tmp_path, xml, {"run": run}))))
+    for place in (("flange",), ("pitch_link",)):
+        defaults = {p.name: p.default for p in EFFECTS[name].parameters(edit.context, place)}
+        EFFECTS[name].apply(edit, place, defaults | values)
+    force = []
+    for model in (edit.context.spec.compile(), edit.spec.compile()):
+        data = mujoco.MjData(model)
+        data.qpos = [0.4, -0.7, 0.9]
+        mujoco.mj_forward(model, data)
+        force.append([data.qfrc_gravcomp.copy(), data.qfrc_bias.copy()])
+    (known, weighs), (still, differs) = force
+    np.testing.assert_allclose(still, known, atol=1e-9)
+    assert np.abs(differs - weighs).max() > 0.05

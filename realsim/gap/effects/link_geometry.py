@@ -3,6 +3,7 @@
 import numpy as np
 
 from realsim.gap.case.model.context import Context
+from realsim.gap.case.model.edit import SPECK
 from realsim.gap.effects.base import EXACT, Edit, Effect, Law, Parameter, Place, Where, Words, always
 
 
@@ -23,9 +24,10 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
             continue
         shift = values["length"] * direction
         body = edit.spec.body(name)
-        for child in body.bodies:
+        children = [child for child in body.bodies if not child.name.endswith(SPECK)]
+        for child in children:
             child.pos = np.asarray(child.pos) + shift
-        if not len(body.bodies):
+        if not children:
             for geom in body.geoms:
                 if not np.isfinite(np.asarray(geom.fromto)).all():
                     geom.pos = np.asarray(geom.pos) + shift

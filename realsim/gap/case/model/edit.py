@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 STIFFEST = 2.2
 """Time steps in which a constraint gives way at the fastest; below 2, MuJoCo takes 2."""
+SPECK, LIGHT = "__compensation", 1e-6
+"""End of the name of a body that carries nothing but another one's gravity compensation, and its share of its mass."""
 NEAR = 0.3
 """Seconds by which an onset that was read off a log may be wrong."""
 EVER = 1e5
@@ -289,9 +291,11 @@ class Edit:
         return mass, com, R @ np.diag(diagonal) @ R.T
 
     def set_inertia(self, body: Any, mass: float, com: F64, inertia: F64) -> None:
-        """The reverse of `inertia_of`."""
+        """The reverse of `inertia_of`. What makes up for gravity does so for the mass that the model knows."""
         import mujoco
 
+        if body.gravcomp:
+            self._compensate_as_before(body, mass, com)
         values, vectors = np.linalg.eigh(inertia)
         if np.linalg.det(vectors) < 0:
             vectors[:, 2] *= -1
@@ -300,6 +304,15 @@ class Edit:
         body.mass, body.ipos, body.iquat = mass, com, quat
         body.inertia, body.explicitinertial = np.maximum(values, 1e-12), 1
         body.fullinertia = np.array([np.nan, 0, 0, 0, 0, 0])
+
+    def _compensate_as_before(self, body: Any, mass: float, com: F64) -> None:
+        """Let the force against gravity come from a speck where it acts now, if the body is to be another one."""
+        known, centre, _ = self.inertia_of(body)
+        if mass == known and (com == centre).all():
+            return
+        speck = body.add_body(name=f"{body.name}{SPECK}", pos=centre, mass=LIGHT * known, explicitinertial=1)
+        speck.inertia, speck.ipos, speck.iquat = np.full(3, 1e-12), np.zeros(3), np.array([1.0, 0, 0, 0])
+        speck.gravcomp, body.gravcomp = body.gravcomp / LIGHT, 0.0
 
     def of(self, setup: Setup) -> Edit:
         """The simulator of a run."""
