@@ -384,7 +384,8 @@ class Screen:
             c.append(float((W * r * r).sum()))
         A = self._A if few is None else [self._A[k] for k in few]
         found = Evidence(A, b, c, self._version, tuple(which))
-        return min(self.centred(found), key=lambda e: self.misfit(e, self.prior)[0])
+        sides = self.centred(found)
+        return min(sides, key=lambda e: self.misfit(e, self.prior)[0]) if len(sides) > 1 else found
 
     def _weigh(self, weights: Weights) -> None:
         """The atoms' normal matrices under these weights."""
