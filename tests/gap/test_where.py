@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from realsim.core.errors import GapError
 from realsim.gap import Case, DiagnoseConfig, load_case
 from realsim.gap.case.motion import estimate, smooth
 from realsim.gap.inference.evidence.inverse import base_wrench, torque_residual
@@ -71,6 +72,11 @@ def test_states_of_a_simulated_run_are_found(sticky: Simulator) -> None:
     error = motion.qvel - logged_speed
     assert motion.good.mean() > 0.95
     assert np.sqrt(np.mean(error**2)) < 0.06 * np.sqrt(np.mean(logged_speed**2))
+
+
+def test_values_that_make_no_body_are_an_error_by_name(sticky: Simulator) -> None:
+    with pytest.raises(GapError, match="does not compile"):
+        shoot(sticky, [("payload", ("fore",), {"mass": -100.0})])
 
 
 def test_predictions_of_the_right_model_stay_at_the_noise(sticky: Simulator) -> None:

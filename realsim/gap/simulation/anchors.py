@@ -62,7 +62,7 @@ class _Replay:
         self.flies = simulator.case.floating and not simulator.context.driven
         self.held = not self.flies and simulator.case.command_kind != "torque"
         self.start, self.last = start, run.duration - LEAST
-        self.model = self.edit.set_up(run.setup).compile()
+        self.model = self.edit.compiled(run.setup)
         self.dt = float(self.model.opt.timestep)
         self.steps = int(np.ceil(run.duration / self.dt)) + 2
         case = simulator.case

@@ -14,7 +14,7 @@ import numpy as np
 
 from realsim.core.errors import GapError, RealsimError
 from realsim.core.progress import asked_early
-from realsim.core.types import F64, Bool, MjModel, MjSpec
+from realsim.core.types import F64, Bool, MjModel
 from realsim.gap.case.case import Case, Run
 from realsim.gap.case.model.channels import Channel as Channel
 from realsim.gap.case.model.channels import channels
@@ -243,20 +243,16 @@ class Simulator:
         for setup in dict.fromkeys(run.setup for run in runs):
             members, here = [i for i, run in enumerate(runs) if run.setup == setup], edit.of(setup)
             tracks = self._rolled_out(
-                here, here.set_up(setup), [runs[i] for i in members], coarse, [begun[i] for i in members], seconds
+                here, here.compiled(setup), [runs[i] for i in members], coarse, [begun[i] for i in members], seconds
             )
             for i, track in zip(members, tracks, strict=True):
                 found[i] = track
         return found
 
     def _rolled_out(
-        self, edit: Edit, spec: MjSpec, runs: Sequence[Run], coarse: int, begun: Sequence[Start], seconds: float
+        self, edit: Edit, model: MjModel, runs: Sequence[Run], coarse: int, begun: Sequence[Start], seconds: float
     ) -> list[dict[str, F64]]:
-        """The same of runs that share a spec."""
-        try:
-            model = spec.compile()
-        except Exception as error:  # the effect's values do not make a body (negative inertia, say)
-            raise GapError("the changed model does not compile", found=str(error).splitlines()[0]) from error
+        """The same of runs that share a model."""
         spare(model)
         model.opt.timestep *= coarse
         dt = model.opt.timestep

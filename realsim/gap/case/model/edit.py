@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from realsim.core.types import F64, MjSpec
+from realsim.core.errors import GapError
+from realsim.core.types import F64, MjModel, MjSpec
 from realsim.gap.case.setups import Setup
 
 if TYPE_CHECKING:
@@ -317,6 +318,17 @@ class Edit:
     def of(self, setup: Setup) -> Edit:
         """The simulator of a run."""
         return self if self.later is None or not setup.later else self.later
+
+    def compiled(self, setup: Setup) -> MjModel:
+        """The model of a run.
+
+        Raises:
+            GapError: the effects' values do not make a body (negative inertia, say).
+        """
+        try:
+            return self.set_up(setup).compile()
+        except ValueError as error:
+            raise GapError("the changed model does not compile", found=str(error).splitlines()[0]) from error
 
     def set_up(self, setup: Setup) -> MjSpec:
         """The spec as it is in a run that is known to differ from model.xml; a copy where it does.

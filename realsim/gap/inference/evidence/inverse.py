@@ -75,7 +75,7 @@ def torque_residual(simulator: Simulator) -> TorqueResidual | None:
     dofs = [int(model.joint(n).dofadr[0]) for n in case.joint_names]
     velocity, change, residual, logged, phases = [], [], [], [], []
     for run in case.runs:
-        model = Edit(simulator.context).set_up(run.setup).compile()
+        model = Edit(simulator.context).compiled(run.setup)
         data = mujoco.MjData(model)
         motion = estimate(case, run, blur)
         logged_torque = _torque(case, run)

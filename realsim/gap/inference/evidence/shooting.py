@@ -73,7 +73,7 @@ def shoot(
     case = simulator.case
     chosen = list(range(len(case.runs))) if runs is None else list(runs)
     edit = simulator.edited(settings, onsets)
-    models = {setup: edit.set_up(setup).compile() for setup in {case.runs[i].setup for i in chosen}}
+    models = {setup: edit.compiled(setup) for setup in {case.runs[i].setup for i in chosen}}
     model = models[case.runs[chosen[0]].setup]
     dt = float(model.opt.timestep)
     step = float(np.median([np.median(np.diff(case.runs[i].time)) for i in chosen]))
