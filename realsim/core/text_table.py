@@ -303,6 +303,14 @@ def _header(
     several levels (`q,q,tau` above `hip,knee,hip`) all that it takes to tell the columns apart."""
     rows = [_split(line.lstrip("# "), delimiter) for line in above]
     rows = [[c.strip() for c in row] for row in rows if len(row) == width or not width]
+    said = [{c.partition(":")[0].lower() if ":" in c else "" for c in row if c} for row in rows]
+    # `Unit: deg` under each name, as MATLAB's Simulation Data Inspector exports them, beside such rows of other facts
+    facts = [len(found) == 1 and "" not in found and k > 0 for k, found in enumerate(said)]
+    rows = [
+        [c.partition(":")[2].strip() for c in row] if fact else row
+        for row, found, fact in zip(rows, said, facts, strict=True)
+        if not fact or found & {"unit", "units"}
+    ]
     if not rows:
         return None
     pairs = [row[1::2] for row in rows if width > 2 and len(set(row[::2])) == 1]

@@ -100,7 +100,8 @@ def _best_positions(e: Evidence, found: Sequence[Candidate]) -> Candidate | None
     moved = {c.label: len(ranked) < 2 or _moved_by(e, c) for c in ranked}
     ranked.sort(
         key=lambda c: (
-            c.role != "joint_pos", "position" not in english(c.member), not moved[c.label], rawness(c.member),
+            c.role != "joint_pos", "position" not in english(c.member), not moved[c.label],
+            e.target is not None and not match_joints(e.of(c)[1].labels, e.target.joints), rawness(c.member),
             -len(e.of(c)[0]), c.label,
         )
     )  # fmt: skip
@@ -169,8 +170,9 @@ def _which_joints(e: Evidence, source: Candidate, field: Field) -> tuple[list[in
 
 
 def _numbered(field: Field) -> bool:
-    """Whether the columns of a table are numbered in their names: q1, q2 are the first and the second joint."""
-    return field.width > 1 and len(field.columns) == field.width and all(re.search(r"\d", c) for c in field.columns)
+    """Whether numbers tell the columns of a table apart: q1, q2 are the first and the second joint."""
+    numbers = {tuple(found) for c in field.columns if (found := re.findall(r"\d+", c))}
+    return field.width > 1 and len(field.columns) == field.width == len(numbers)
 
 
 def _still(values: F64) -> bool:

@@ -142,7 +142,7 @@ def meaning(stream: str, kind: str, member: str) -> tuple[str, str, str]:
         return "", "", ""
     text = "_".join(w for w in found if w != "target")
     role = next((r for r, pattern in _WORDS if re.search(pattern, text)), "")
-    asked = sent or "target" in found
+    asked = sent or "target" in found or {"controller", "output"} <= set(found)
     if not role and (asked or "measured" in found or (unit and len(found) <= 1)):
         role = _BY_UNIT.get(unit, "" if asked or "measured" not in found else "joint_pos")
     below_sent = is_sent(above.rpartition(".")[2])  # motor_cmd of motor_cmd.q

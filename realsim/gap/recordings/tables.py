@@ -331,7 +331,14 @@ def _flat(item: Mapping[str, Any], place: str = "") -> dict[str, Any]:
         if isinstance(value, Mapping):
             result |= _flat(value, name)
         elif isinstance(value, list) and value and all(isinstance(v, Mapping) for v in value):
-            parts = [_flat(v) for v in value]  # equal parts, such as motors: every number is a list with one of each
+            parts = [_flat(v) for v in value]
+            names = [next((str(p[k]) for k in ("name", "joint", "joint_name") if p.get(k)), "") for p in parts]
+            if all(names) and len(set(names)) == len(names):  # in any order
+                result |= {
+                    f"{name}.{n}.{inner}": v for n, p in zip(names, parts, strict=True) for inner, v in p.items()
+                }
+                continue
+            # equal parts, such as motors: every number is a list with one of each
             result |= {f"{name}.{inner}": [p.get(inner) for p in parts] for inner in parts[0]}
         else:
             result[name] = value

@@ -19,9 +19,9 @@ _SIGNALS = {
     " 实际 反馈 测量 当前 実測 現在 実際",
     "position": "q qpos pos position positions angle angles theta joints dof_pos encoder encoders enc winkel lage"
     " stellung posicion posiciones posizione angulo angolo pozycja 位置 角度",
-    "velocity": "dq qd qdot qvel vel vels velocity velocities speed speeds dtheta geschwindigkeit drehzahl vitesse"
+    "velocity": "dq qd qdot qvel vel vels velocity velocities speed speeds spd dtheta geschwindigkeit drehzahl vitesse"
     " vitesses velocidad velocidades velocita 速度 转速",
-    "torque": "tau taus torque torques effort efforts trq load drehmoment moment couple couples coppia esfuerzo 力矩"
+    "torque": "tau taus torque torques effort efforts trq tq load drehmoment moment couple couples coppia esfuerzo 力矩"
     " 扭矩 トルク",
     "electric": "amps iq strom courant corriente corrente 电流 電流",
     "current": "current currents",

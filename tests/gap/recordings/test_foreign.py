@@ -23,6 +23,14 @@ TABLES = {
     "joint_control_output_1,target_q_0,target_q_1,actual_current_0,actual_current_1",
     "moteus": "timestamp,d_current_1,d_current_2,q_current_1,q_current_2,position_1,position_2,velocity_1,velocity_2,"
     "control_position_1,control_position_2",
+    "Simulation Data Inspector": "time,q_ref(1),q_ref(2),q_meas(1),q_meas(2)\n,Type: double,Type: double,Type: double,"
+    "Type: double\n,Unit: deg,Unit: deg,Unit: deg,Unit: deg\n,Interp: zoh,Interp: zoh,Interp: linear,Interp: linear",
+    "Grafana": "Time,"
+    + ",".join(
+        f'"arm.{kind} {{joint=""{joint}"", robot=""arm-7""}}"'
+        for kind in ("setpoint", "position")
+        for joint in ("elbow", "shoulder")
+    ),
     "Shift JIS": "時刻[ms],目標角度_肩[deg],目標角度_肘[deg],実角度_肩[deg],実角度_肘[deg]",
 }  # fmt: skip
 
@@ -36,6 +44,8 @@ def test_a_table_of_another_program(program: str, arm: Log, tmp_path: Path) -> N
         "a trace with strange units": (arm.time, DEG * arm.command, DEG * arm.pos, 300 + 0 * arm.pos),
         "RTDE": (arm.time, 1e-3 * wave, arm.pos, arm.torque, arm.command, arm.torque),
         "moteus": (arm.time, 0 * arm.torque, 0.1 * arm.torque, arm.pos, arm.vel, arm.command),
+        "Simulation Data Inspector": (arm.time, DEG * arm.command, DEG * arm.pos),
+        "Grafana": (arm.time, arm.command[:, turned], arm.pos[:, turned]),
         "Shift JIS": (1e3 * arm.time, DEG * arm.command, DEG * arm.pos),
     }[program]
     path = write(tmp_path / "a.csv", TABLES[program], *columns)
@@ -162,3 +172,64 @@ def test_small_motion_is_not_taken_for_turns(arm: Log, tmp_path: Path) -> None:
     found = propose(read(path), load_target(save(tmp_path, ARM))).assignments["joint_pos"]
     assert found.unit == "rad"
     assert found.doubtful
+
+
+def test_what_a_controller_puts_out_is_not_measured(arm: Log, tmp_path: Path) -> None:
+    """And joints with names go before the same ones without: the controller's order is its own."""
+    members = ("reference/positions", "feedback/positions", "output/effort")
+    head = ["__time", *(f"/arm/controller_state/{m}[{k}]" for m in members for k in (0, 1))]
+    head += [f"/joint_states/{j}/{kind}" for kind in ("position", "effort") for j in JOINTS]
+    turned = slice(None, None, -1)
+    own = np.hstack([arm.command[:, turned], arm.pos[:, turned], arm.torque[:, turned]])
+    rows = [f"{t:.4f}," + ",".join(f"{x:.6f}" for x in v) + 4 * "," for t, v in zip(arm.time, own, strict=True)]
+    seen = np.hstack([arm.pos, 0.9 * arm.torque])
+    rows += [f"{t:.4f}" + 7 * "," + ",".join(f"{x:.6f}" for x in v) for t, v in zip(arm.time, seen, strict=True)]
+    rows.sort(key=lambda row: float(row.split(",")[0]))
+    (tmp_path / "a.csv").write_text("\n".join([",".join(head), *rows]))
+    found = propose(read(tmp_path / "a.csv"), load_target(save(tmp_path, ARM)))
+    arrays = run_arrays(found, found.recordings[0]).arrays
+    assert found.joints == JOINTS
+    assert np.allclose(arrays["joint_pos"], arm.pos, atol=1e-5), found.render()
+    assert np.allclose(arrays["joint_torque"], 0.9 * arm.torque, atol=1e-5), found.render()
+
+
+def test_lines_of_a_serial_port(arm: Log, tmp_path: Path) -> None:
+    """Names beside their numbers, and what the board says in between."""
+    body = np.hstack([arm.command, arm.pos])
+    names = [f"{kind}_{joint}" for kind in ("goal", "angle") for joint in ("shoulder", "elbow")]
+    lines = [
+        f"t:{1e3 * t:.0f} " + " ".join(f"{n}:{x:.5f}" for n, x in zip(names, values, strict=True))
+        for t, values in zip(arm.time, body, strict=True)
+    ]
+    (tmp_path / "a.log").write_text(
+        "\n".join(["Booting v1.3", "IMU ok: 1", *lines[:90], "WARN loop 4 ms", *lines[90:]])
+    )
+    assert "3 lines" in read(tmp_path / "a.log")[0].notes[0]
+    check(tmp_path / "a.log", tmp_path, arm)
+
+
+def test_signals_of_a_scope(arm: Log, tmp_path: Path) -> None:
+    """Simulink's structure with time, of several signals."""
+    from scipy.io import savemat
+
+    signals = np.zeros(2, dtype=[("values", "O"), ("dimensions", "O"), ("label", "O")])
+    for k, (label, values) in enumerate((("Sollwert", arm.command), ("q", arm.pos))):
+        signals[k] = values, 2.0, label
+    savemat(tmp_path / "a.mat", {"ScopeData": {"time": arm.time[:, None], "signals": signals}})
+    found = propose(read(tmp_path / "a.mat"), load_target(save(tmp_path, ARM)))
+    arrays = run_arrays(found, found.recordings[0]).arrays
+    for role, truth in (("joint_pos", arm.pos), ("command", arm.command)):
+        np.testing.assert_allclose(arrays[role], truth, atol=1e-6)
+
+
+def test_joints_as_structures_with_names(arm: Log, tmp_path: Path) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    def row(values: np.ndarray, turn: int) -> dict[str, list[dict[str, object]]]:
+        return {"joints": [{"name": j, "pos": float(x)} for j, x in zip(JOINTS, values, strict=True)][::turn]}
+
+    both = zip(arm.time, arm.pos, arm.command, strict=True)
+    rows = [{"t": t, "state": row(q, -1), "target": row(u, 1)} for t, q, u in both]
+    pq.write_table(pa.Table.from_pylist(rows), tmp_path / "a.parquet")
+    check(tmp_path / "a.parquet", tmp_path, arm)

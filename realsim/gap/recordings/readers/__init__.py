@@ -17,6 +17,7 @@ READERS = Registry(
         "hdf5": "realsim.gap.recordings.readers.hdf5:READER",
         "matlab": "realsim.gap.recordings.readers.matlab:READER",
         "torch": "realsim.gap.recordings.readers.torchfile:READER",
+        "plotter": "realsim.gap.recordings.readers.plotter:READER",
         "influx": "realsim.gap.recordings.readers.influx:READER",
         "csv": "realsim.gap.recordings.readers.csvfile:READER",
     },

@@ -1,5 +1,6 @@
 """Tables of text, however their cells are parted (`realsim.core.text_table`)."""
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -8,10 +9,12 @@ import numpy as np
 
 from realsim.core.errors import GapError
 from realsim.core.text_table import TextTable, begin, first_lines, read_text_table
+from realsim.core.types import F64
 from realsim.gap.recordings.recording import Reader, Recording, Stream, Window, no_samples, refuse_more
 from realsim.gap.recordings.tables import a_column_a_joint, by_topic, labelled, on_one_clock
 from realsim.gap.recordings.vocabulary import plain, split_unit
 
+_TAG = re.compile(r'[\w.]+\s*[=:]\s*"?([^",}]+)')
 SUFFIXES = (".csv", ".tsv", ".txt", ".log", ".dat")
 
 
@@ -26,8 +29,8 @@ def recognise(path: Path) -> bool:
 
 def read(path: Path, window: Window) -> list[Recording]:
     found = read_text_table(path, lambda cell: split_unit(f"x [{cell}]")[1], lambda size: refuse_more(path, size))
-    columns = {n: v for n, v in found.columns.items() if np.isfinite(v).any()}
-    dropped = [n for n in found.parts if n and n not in columns]
+    numbers = {n: v for n, v in found.columns.items() if np.isfinite(v).any()}
+    dropped, columns = [n for n in found.parts if n and n not in numbers], _untagged(numbers)
     if not columns and found.columns:
         raise GapError("no column holds numbers", file=path, found=f"text in {', '.join(dropped[:8])}")
     if not columns:
@@ -43,9 +46,18 @@ def read(path: Path, window: Window) -> list[Recording]:
     if not streams:
         notes += [f"columns of text left out: {', '.join(dropped[:8])}"] if dropped else []
         streams = tuple(_called(s, found.words) for s in by_topic(path, columns, window))
-    odd = {n: cell for n, (cell, _) in found.odd.items() if n in columns}
+    odd = {n: cell for n, (cell, _) in found.odd.items() if n in numbers}
     notes += [f"{path.name}: {n} has values that are no numbers, the first is {c!r}" for n, c in odd.items()]
     return [Recording(path, path.stem, "csv", streams, notes=tuple(notes))]
+
+
+def _untagged(columns: Mapping[str, F64]) -> dict[str, F64]:
+    """Columns named by a metric and its tags, `effort {joint="knee", host="a7"}`, without tags that all share."""
+    tags = {n: _TAG.findall(n[n.find("{") :]) if "{" in n else [] for n in columns}
+    shared = set.intersection(*(set(t) for t in tags.values() if t)) if any(tags.values()) else set()
+    names = {n: " ".join([n.partition("{")[0].strip(), *(v for v in t if v not in shared)]) for n, t in tags.items()}
+    apart = len(set(names.values())) == len(names)
+    return {names[n] if apart and tags[n] else n: v for n, v in columns.items()}
 
 
 def _called(stream: Stream, words: Mapping[str, Sequence[str]]) -> Stream:

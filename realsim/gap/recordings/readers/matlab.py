@@ -71,6 +71,9 @@ def _flat(values: dict[str, Any], place: str = "") -> dict[str, F64]:
         full = f"{place}.{name}".lstrip(".")
         if isinstance(value, dict):
             found |= _flat(value, full)
+        elif isinstance(value, (list, np.ndarray)) and len(value) and all(isinstance(v, dict) for v in value):
+            labels = [str(v.get("label") or v.get("name") or k + 1) for k, v in enumerate(value)]  # signals of a Scope
+            found |= _flat(dict(zip(labels, value, strict=True)), full)
         elif isinstance(value, np.ndarray) and value.dtype.kind in "fiub" and value.ndim in (1, 2):
             found[full] = np.asarray(value, dtype=np.float64)
     return found

@@ -10,7 +10,7 @@ from realsim.core.errors import extra
 from realsim.core.text_table import MAX_WIDTH
 from realsim.core.types import F64
 from realsim.gap.recordings.recording import Reader, Recording, Window, has_suffix, no_samples, readable, refuse_more
-from realsim.gap.recordings.tables import table
+from realsim.gap.recordings.tables import rows, table
 from realsim.gap.recordings.vocabulary import TIMES
 
 
@@ -33,7 +33,12 @@ def columns_of(path: Path, only: Sequence[str] | None = None) -> tuple[dict[str,
             if only is not None and name not in only:
                 continue
             kind = file.schema_arrow.field(name).type
-            # Pictures (bytes, structs) are never loaded.
+            if _nested(kind):
+                column = file.read(columns=[name]).column(0)
+                refuse_more(path, size + column.nbytes // 8)
+                found |= rows(path, [{name: value} for value in column.to_pylist()], [])
+                continue
+            # Pictures (bytes) are never loaded.
             values = _values(file.read(columns=[name]).column(0)) if _numeric(kind) else None
             if values is None:
                 skipped[name] = f"{kind}: not numbers"
@@ -50,6 +55,16 @@ def _numeric(kind: Any) -> bool:
     if t.is_list(kind) or t.is_large_list(kind) or t.is_fixed_size_list(kind):
         return _numeric(kind.value_type)
     return bool(t.is_integer(kind) or t.is_floating(kind) or t.is_boolean(kind) or t.is_timestamp(kind))
+
+
+def _nested(kind: Any) -> bool:
+    """Whether a column holds structures, or lists of them, of nothing but numbers and words."""
+    import pyarrow.types as t
+
+    if t.is_list(kind) or t.is_large_list(kind):
+        return _nested(kind.value_type)
+    inner = [kind.field(k).type for k in range(kind.num_fields)] if t.is_struct(kind) else []
+    return bool(inner) and all(_numeric(i) or t.is_string(i) or _nested(i) for i in inner)
 
 
 def _values(column: Any) -> F64 | None:
