@@ -21,6 +21,7 @@ from realsim.gap.case.case import Case
 from realsim.gap.case.health import examine
 from realsim.gap.case.runs import LEAST_SAMPLES, Run, find_gaps
 from realsim.gap.case.split import split_runs
+from realsim.gap.case.stuck import without_stuck
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.effects import EFFECTS
 from realsim.gap.experiments.proposal import propose, with_text
@@ -112,7 +113,8 @@ def diagnose(case: Case, config: DiagnoseConfig | None = None, progress: Progres
 
 
 def limited(case: Case, config: DiagnoseConfig) -> Case:
-    """At most max_runs runs of at most max_seconds each; what is left out is noted."""
+    """At most max_runs runs of at most max_seconds each, and no stuck joint; what is left out is noted."""
+    case = without_stuck(case)
     usual = figures.WALKED if case.floating and case.joint_names else figures.LONGEST
     notes, seconds = [], usual if config.max_seconds is None else config.max_seconds
     parts = {run.name: unbroken(case, run) for run in case.runs}

@@ -12,6 +12,7 @@ from realsim.gap.answer.camera import with_camera
 from realsim.gap.answer.patch import asset_files
 from realsim.gap.case.case import load_case
 from realsim.gap.case.health import examine
+from realsim.gap.case.stuck import with_same_joints
 from realsim.gap.checks.footholds.run import check_camera
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.drift.pair import pair_of
@@ -63,7 +64,8 @@ def run_case(
             asked = found.next_experiment | {"case": Path(where).as_posix()}
             found = replace(found, next_experiment=asked)
         if since is not None:
-            changed = changed_since(limited(case, config), limited(earlier, config), config, progress or _quiet)
+            pair = with_same_joints(limited(case, config), limited(earlier, config))
+            changed = changed_since(*pair, config, progress or _quiet)
             found = replace(found, since={"case": earlier.folder.name, **changed.as_dict()})
         found.write(work)
         assert found.evidence is not None  # `diagnose` fills it

@@ -15,6 +15,7 @@ from realsim.gap import Case, DiagnoseConfig, Run, load_case
 from realsim.gap.case.health import examine, gathered
 from realsim.gap.case.health.conventions import log_conventions
 from realsim.gap.case.health.signals import spikes
+from realsim.gap.pipeline import limited
 from realsim.gap.simulation.simulate import Simulator
 from tests.truths.written import write_case
 
@@ -124,6 +125,25 @@ def test_positions_that_are_noise_are_refused(good: Case) -> None:
 def test_a_joint_that_does_not_move_is_said(good: Case) -> None:
     found = health(spoiled(good, with_signal("joint_pos", column(1, lambda p: noise_about_rest(p[:, None])[:, 0]))))
     assert any("more noise than motion: joint_pos of elbow" in w for w in found["warnings"])
+
+
+def stands(values: Any) -> Any:
+    return values[0] + np.random.default_rng(0).normal(0, 1e-4, values.shape)
+
+
+def test_a_joint_that_is_commanded_and_stands_still_is_left_out(good: Case) -> None:
+    config = DiagnoseConfig(threads=1)
+    stuck = spoiled(good.with_runs(good.runs[:2]), with_signal("joint_pos", column(1, stands)))
+    case = limited(stuck, config)
+    assert case.joint_names == ("shoulder",)
+    assert health(case)["warnings"][0].startswith("elbow: the reading stands still although the command moves")
+
+    def held(run: Run) -> Run:
+        return replace(run, command=np.column_stack([run.command[:, 0], np.full(len(run.time), run.command[0, 1])]))
+
+    assert limited(spoiled(stuck, held), config).joint_names == good.joint_names  # nobody asked it to move
+    with pytest.raises(GapError, match="no joint moves although"):
+        limited(spoiled(stuck, with_signal("joint_pos", column(0, stands))), config)
 
 
 def even(run: Run) -> Run:
