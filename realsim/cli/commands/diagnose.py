@@ -186,6 +186,7 @@ def _contract(folder: Path, policy: Path, deploy_yaml: Path | None) -> Found:
     try:
         return contract.check(trained, contract.read_steps(case, trained.camera))
     except GapError as error:
+        error.file = error.file or str(folder)
         error.found = error.found or _why_missing(folder, str(error.expected).partition(" ")[0])
         raise
 

@@ -54,7 +54,7 @@ def load(path: str | Path, robot: TrainedRobot) -> Known:
         taken = data["verdict"] in TAKEN
         left = () if taken else tuple(f"{c.get('effect')} ({data['verdict']})" for c in data["causes"] if c not in seen)
         sets = [data["causes"], *(s + seen for s in data.get("equivalent", ()))] if taken else [seen]
-        held = _held_by_model(sets, data.get("patch"), robot)
+        held = _held_by_model(sets, data.get("patch"), robot, path)
         alternatives = tuple(_known(causes, robot, held, path) for causes in sets)
     except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
         raise TrainerError(
@@ -109,10 +109,12 @@ def _moved(camera: DepthMount, mount: tuple[Range, ...]) -> DepthMount:
     return replace(camera, pos=camera.pos + R @ OPENCV_IN_MOUNT @ middle[3:], quat=R_to_quat(turned))
 
 
-def _held_by_model(sets: list[list[dict[str, Any]]], patch: Any, robot: TrainedRobot) -> list[dict[str, Any]]:
+def _held_by_model(
+    sets: list[list[dict[str, Any]]], patch: Any, robot: TrainedRobot, path: Path
+) -> list[dict[str, Any]]:
     """Settings of the patch for causes in all sets that ranges cannot hold whole, and a model of this robot can."""
     shared = {_name(c) for c in sets[0]}.intersection(*({_name(c) for c in s} for s in sets))
-    whole = {_name(c) for c in sets[0] if not _left(c, robot)}
+    whole = {_name(c) for c in sets[0] if not _left(c, robot, path)}
     settings = patch.get("settings", ()) if isinstance(patch, dict) else ()
     wanted = shared - whole
     return [s for s in settings if (s["effect"], tuple(s["place"])) in wanted and _fits(s, patch, robot)]
@@ -160,10 +162,10 @@ class _Found:
     servo: set[int] = field(default_factory=set)
 
 
-def _left(cause: dict[str, Any], robot: TrainedRobot) -> list[str]:
+def _left(cause: dict[str, Any], robot: TrainedRobot, path: Path) -> list[str]:
     """What ranges cannot hold of a cause."""
     found = _Found()
-    _take(cause, robot, found, Path())
+    _take(cause, robot, found, path)
     return found.unused
 
 
@@ -184,6 +186,7 @@ def _take(cause: dict[str, Any], robot: TrainedRobot, found: _Found, path: Path)
             file=path,
             expected=f"joints of {robot.robot.name}",
             found=f"no joint {unknown[0]!r}",
+            hint=f"diagnose a log of {robot.robot.name}, or give the policy of the robot that was diagnosed",
         )
     places = [robot.joints.index(j) for j in joints] or list(range(len(robot.joints)))
     left = dict(cause.get("parameters", {}))  # what nobody asks for is named as unused

@@ -59,6 +59,7 @@ def check(contract: Contract, steps: Steps) -> Found:
         raise GapError(
             "the policy is for another robot, or its joints have other names",
             expected=", ".join(steps.joints), found=", ".join(other),
+            hint="give the policy that ran in the log, or call joints in log.json and model.xml what it calls them",
         )  # fmt: skip
     notes = list(steps.notes)
     rates = list(_rates(contract, steps, notes))
@@ -103,7 +104,7 @@ def _rates(contract: Contract, steps: Steps, notes: list[str]) -> Iterator[Probl
     if not any(s.runs for s in long):
         raise GapError(
             "the policy's history is longer than the log", expected=f"a run of at least {least} policy steps",
-            found=f"{max(len(r.time) for r in steps.runs)} at most",
+            found=f"{max(len(r.time) for r in steps.runs)} at most", hint="record longer runs without gaps",
         )  # fmt: skip
     short = {r.name for r in steps.runs} - {r.name for s in long for r in s.runs}
     if short:
