@@ -1,6 +1,7 @@
 """Connected objects on the ground."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,7 +9,7 @@ from numpy.typing import NDArray
 from realsim.core.meshes import across, sampled
 from realsim.core.types import F64, TerrainMesh
 from realsim.export.contact.base import Geom, floor_around, floor_plane
-from realsim.export.contact.columns import Columns, check_extent, columns
+from realsim.export.contact.columns import NARROW, Columns, check_extent, columns
 from realsim.export.contact.probe import Reference
 from realsim.export.contact.undersides import Walls, settle
 
@@ -108,7 +109,7 @@ def terrain(mesh: TerrainMesh, ground_z: float, cell: float | None = None) -> Te
     found: list[Island] = []
     areas = np.zeros(2)
     for layer in range(len(grid.top)):
-        for island, unseen in _layer(grid, layer, base, level, tolerance, scan=mesh.noise_m is not None):
+        for island, unseen in _layer(grid, layer, base, level, tolerance, narrowest, scan=mesh.noise_m is not None):
             under, inferred = settle(grid, island.corner, island.top, island.under, unseen, base, narrowest, walls)
             found.append(replace(island, under=under))
             areas += inferred
@@ -173,7 +174,7 @@ def _bounds(grid: Columns, window: Window) -> F64:
 
 
 def _layer(
-    grid: Columns, layer: int, base: float, level: F64, tolerance: float, *, scan: bool
+    grid: Columns, layer: int, base: float, level: F64, tolerance: float, narrowest: int, *, scan: bool
 ) -> list[tuple[Island, NDArray[np.bool_]]]:
     """[(island, cells whose underside no camera saw)] of one layer; `level` (rows, columns) is the z of the floor below
     each cell, `base` in holes for pits and the ground elsewhere. Specks are noise of a `scan`; who makes a mesh by hand
@@ -182,7 +183,7 @@ def _layer(
 
     top, bottom, seen = grid.top[layer], grid.bottom[layer], grid.bottom_seen[layer]
     solid = np.isfinite(top) & (top > level + 1.5 * tolerance)
-    islands, _ = ndimage.label(solid, np.ones((3, 3)))
+    islands = _connected(solid, top, np.where(bottom > level, bottom, -np.inf), narrowest)
     rim = _rim(grid)
     out = []
     for k, place in enumerate(ndimage.find_objects(islands), start=1):
@@ -195,6 +196,48 @@ def _layer(
         share = float(grid.top_seen[layer][place][inside].mean())
         out.append((Island((place[0].start, place[1].start), z, under, share), inside & ~seen[place]))
     return out
+
+
+def _connected(solid: NDArray[np.bool_], top: NDArray[Any], under: NDArray[Any], narrowest: int) -> NDArray[np.int64]:
+    """(rows, columns) number of the island that each cell belongs to, 0 where nothing is `solid`.
+
+    Cells side by side are of one island if they meet in height too: what floats over a platform is not the platform's,
+    or its underside, too small for a plane of its own, would go to what is beside it and become a pillar. A strip of
+    less than `narrowest` cells that stands beside what hangs, and is as high, is a column that missed the underside.
+
+    Args:
+        under: (rows, columns) z, -inf where a column stands on the ground.
+    """
+    from scipy import ndimage
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    hangs = solid & (under > -np.inf)
+    if hangs.any():
+        far, near = ndimage.distance_transform_cdt(~hangs, return_indices=True)
+        beside = under[near[0], near[1]]
+        as_high = (top > beside - NARROW) & (top < top[near[0], near[1]] + NARROW)
+        missed = solid & ~hangs & (far < narrowest) & as_high
+        missed &= ~ndimage.binary_opening(missed, np.ones((narrowest, narrowest)))
+        under, hangs = np.where(missed, beside, under), hangs | missed
+    # What stands on the ground always meets: a number for each cell only of what hangs.
+    nodes, standing = ndimage.label(solid & ~hangs, np.ones((3, 3)))
+    nodes[hangs] = standing + 1 + np.arange(hangs.sum())
+    ends: list[NDArray[Any]] = [np.zeros((2, 0), int)]
+    s = np.s_
+    for a, b in (
+        (s[:, :-1], s[:, 1:]),
+        (s[:-1], s[1:]),
+        (s[:-1, :-1], s[1:, 1:]),
+        (s[:-1, 1:], s[1:, :-1]),
+    ):
+        pair = solid[a] & solid[b] & (hangs[a] | hangs[b])
+        gap = np.maximum(under[a][pair], under[b][pair]) - np.minimum(top[a][pair], top[b][pair])
+        ends.append(np.stack([nodes[a][pair], nodes[b][pair]])[:, gap < NARROW])
+    one, other = np.concatenate(ends, 1)
+    count = int(nodes.max()) + 1
+    # Node 0, what is not solid, meets nothing and comes first.
+    return connected_components(coo_array((np.ones(len(one), bool), (one, other)), (count, count)), False)[1][nodes]
 
 
 def _rim(grid: Columns) -> NDArray[np.bool_]:

@@ -69,6 +69,8 @@ def settle(
     block = np.ones((narrowest, narrowest))
     hangs = ndimage.binary_opening(hanging, block)
     stands = ndimage.binary_opening(inside & ~hanging, block)
+    if not (hangs | stands).any() and 2 * hanging.sum() > inside.sum():  # a bit that floats, all of it too narrow
+        hangs = hanging
     out = np.where(inside, base, np.nan)
     areas = np.zeros(2)
     if not hangs.any():
