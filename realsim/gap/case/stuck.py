@@ -8,11 +8,11 @@ from realsim.core.errors import GapError
 from realsim.gap.case.case import Case, Run
 
 STANDS = 0.01
-"""Share of its command's motion below which a joint's reading stands still, both as standard deviations in a run. Set by
-hand: the weakest joint of 14 logs, mostly repeats of two servos, has 0.37."""
+"""Share of its command's motion below which a joint's reading stands still, both as standard deviations in a run. Set
+by hand: the weakest joint of 14 logs, mostly repeats of two servos, has 0.37."""
 COMMANDED = 0.02
-"""rad (or 20 to a metre) of standard deviation from which a joint is commanded to move: stiction may hold it below. Set by
-hand."""
+"""rad (or 20 to a metre) of standard deviation from which a joint is commanded to move: stiction may hold it below. Set
+by hand."""
 
 
 def without_stuck(case: Case) -> Case:
