@@ -103,7 +103,8 @@ def travelled(times: F64, position: F64, velocity: F64) -> tuple[F64, F64]:
 
 def speed_factor(moved: F64, sums: F64) -> Factor:
     """A velocity's integrals against ways travelled (`travelled`, of any runs one after another)."""
-    ratio = factor(sums, moved) if len(moved) and np.nanstd(moved) > 1e-3 else np.nan
+    known = moved[np.isfinite(moved)]
+    ratio = factor(sums, moved) if len(known) and np.std(known) > 1e-3 else np.nan
     if not np.isfinite(ratio):
         return Factor(np.nan, 0.0, "rad/s", False)
     unit = nearest_unit(ratio, TURNING)
