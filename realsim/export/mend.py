@@ -40,7 +40,7 @@ MAX_TRIANGLES = 5_000_000
 THIN = 0.1  # width of a sliver seen from above, in lengths; set by hand on made nets of points
 RAYS = 96  # a side of the grid of rays that look at a mesh from above
 VAST = 50.0  # metres: larger than what a robot is taken across, so that the unit has to be given
-TALL = 8.0  # metres: it may be furniture in cm or inches; the benchmarks' meshes and rooms are at most 3 m high
+TALL = 8.0  # metres, set by hand: furniture in cm or inches; the benchmarks' meshes and rooms are at most 3 m high
 
 
 @dataclass(frozen=True)

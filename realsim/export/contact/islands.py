@@ -25,7 +25,7 @@ THINNER, SIDES = 2, 2000  # percent of the walls that may be thinner (set on pos
 # measured on others), and places at which they are measured
 PIT, NOISES = 0.015, 2.5  # metres below the ground, and times the noise, from which a plane will not do as floor; the
 # second was set on a made corridor of 9 x 6 m whose floor is uneven by 5 mm, and holds on one of 35 x 21 m
-PIT_AREA = 0.01  # m^2 that were measured: a smaller one is no pit
+PIT_AREA = 0.01  # m^2 that were measured: a smaller one is no pit; set by hand, less than a foot
 RIM = 0.03  # metres beside a pit in which its walls come up to the ground
 FINE, ROUGH = 0.003, 0.015
 """Metres that a plane may be off: of an exact mesh, and at most. The second was set on a rendered corridor of 4 x 2 m;

@@ -143,6 +143,14 @@ def test_robots_side_by_side_are_runs(arm: Log, tmp_path: Path) -> None:
     np.testing.assert_allclose(run_arrays(found, found.recordings[0]).arrays["joint_pos"], arm.pos, atol=1e-6)
 
 
+def test_robots_that_are_left_out_are_counted(arm: Log, tmp_path: Path) -> None:
+    many = {n: np.stack([v] * 40, axis=1) for n, v in {"joint_pos": arm.pos, "joint_pos_target": arm.command}.items()}
+    np.savez(tmp_path / "a.npz", **many, joint_names=np.array(JOINTS), step_dt=0.01)
+    found = read(tmp_path / "a.npz")
+    assert len(found) == 12
+    assert found[0].notes == ("a.npz: 12 of its 40 robots were read",)
+
+
 def test_several_signals_of_each_joint_in_one_vector(arm: Log, tmp_path: Path) -> None:
     """LeRobot's robots with velocities and torques: knee.pos, knee.vel, knee.torque, ..."""
     import pyarrow as pa

@@ -21,7 +21,7 @@ from realsim.gap.recordings.recording import (
 from realsim.gap.recordings.tables import as_long_as_most, table
 
 MAX_ROBOTS = 12
-"""Robots of one dump that are read, each as a run."""
+"""Robots of one dump that are read, each as a run: those of a simulator are alike, and a search takes few runs."""
 STEPS = ("step_dt", "control_dt", "dt")
 """Names of the s between two samples, of an archive without a clock."""
 NAMES = ("cols", "columns", "names", "header")
@@ -36,8 +36,10 @@ def read(path: Path, window: Window) -> list[Recording]:
         if text.ndim == 0:
             facts |= _said(name, str(text))
     if worlds := _worlds(numbers):
+        left = (f"{path.name}: {MAX_ROBOTS} of its {len(worlds)} robots were read",) if len(worlds) > MAX_ROBOTS else ()
         return [
-            replace(_recording(path, w, texts, facts, window), name=f"{path.stem}_{k}") for k, w in enumerate(worlds)
+            replace(_recording(path, w, texts, facts, window), name=f"{path.stem}_{k}", notes=left)
+            for k, w in enumerate(worlds[:MAX_ROBOTS])
         ]
     return [_recording(path, numbers, texts, facts, window)]
 
@@ -50,7 +52,7 @@ def _worlds(numbers: dict[str, F64]) -> list[dict[str, F64]]:
         return []
     ((_, count),) = sides
     flat = {n: v for n, v in numbers.items() if v.ndim < 3}
-    return [{n: np.asarray(v[:, k]) for n, v in deep.items()} | flat for k in range(min(count, MAX_ROBOTS))]
+    return [{n: np.asarray(v[:, k]) for n, v in deep.items()} | flat for k in range(count)]
 
 
 def _recording(
