@@ -142,15 +142,16 @@ def ranked(screen: Screen, here: Fit) -> list[Scored]:
         least = min(misfit + cost for _, _, misfit, cost in looks)
         about += [(A, b, misfit + cost - least) for A, b, misfit, cost in looks]
     taken = {(c.candidate.effect, p) for c in here.causes for p in c.candidate.places}
+    A, b, behind = map(np.array, zip(*about, strict=True))
     found = []
     for candidate in screen.candidates:
         if any((candidate.effect, p) in taken for p in candidate.places):
             continue
         if lookup(candidate.effect).rivals.special_case in screen.effects:
             continue  # it takes the plainer law's place, where that one is a cause: see `by_effect`
-        scored = [(*log_evidence(A, b, candidate.directions, slab(candidate)), behind) for A, b, behind in about]
-        gain, estimate = max(((gain - behind, estimate) for gain, estimate, behind in scored), key=lambda g: g[0])
-        found.append((gain, candidate, estimate))
+        gains, estimates = log_evidence(A, b, candidate.directions, slab(candidate))
+        best = int(np.argmax(gains - behind))
+        found.append((float(gains[best] - behind[best]), candidate, estimates[best]))
     return sorted(found, key=lambda item: -item[0])
 
 

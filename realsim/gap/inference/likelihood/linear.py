@@ -129,13 +129,14 @@ def marginal(evidence: Evidence, prior: F64, most: F64 | float) -> tuple[F64, F6
     return A - A @ cov @ A, b - A @ x, misfit_at(A, b, sum(evidence.c), x, prior)
 
 
-def log_evidence(A: F64, b: F64, directions: F64, size: F64) -> tuple[float, F64]:
-    """(log evidence gain, estimate) of parameters along `directions` with prior sizes `size`."""
+def log_evidence(A: F64, b: F64, directions: F64, size: F64) -> tuple[F64, F64]:
+    """(log evidence gain, estimate) of parameters along `directions` with prior sizes `size`; of each of (..., N, N)
+    and (..., N)."""
     rows = np.flatnonzero(directions.any(axis=1))
     if len(rows) <= 2:  # else sums may end in another last digit
-        A, b, directions = A[np.ix_(rows, rows)], b[rows], directions[rows]
+        A, b, directions = np.ascontiguousarray(A[..., rows[:, None], rows]), b[..., rows], directions[rows]
     info = directions.T @ A @ directions
-    s = directions.T @ b
+    s = directions.T @ b[..., None]
     estimate = np.linalg.solve(info + np.diag(1 / size**2), s)
     occam = 0.5 * np.linalg.slogdet(np.eye(len(size)) + (size[:, None] * info) * size)[1]
-    return float(0.5 * s @ estimate - occam), np.asarray(estimate)
+    return (0.5 * s.mT @ estimate)[..., 0, 0] - occam, np.asarray(estimate[..., 0])
