@@ -6,10 +6,11 @@ python=$1
 shift
 bin=$(dirname "$0")/../.venv/bin
 
-setting() { printf '%b' "$("$bin/python" -m pip config list | sed -n "s/^[^=]*\.$1='\(.*\)'\$/\1/p" | tail -1)"; }
+setting() { printf '%b' "$(sed -n "s/^[^=]*\.$1='\(.*\)'\$/\1/p" <<<"$settings" | tail -1)"; }
 
 by_uv() {
-  local options=(--quiet --index-strategy unsafe-best-match) name value certificates
+  local options=(--quiet --index-strategy unsafe-best-match) name value certificates settings
+  settings=$("$bin/python" -m pip config list)
   for name in index-url extra-index-url find-links; do
     for value in $(setting $name); do options+=("--$name" "$value"); done
   done
