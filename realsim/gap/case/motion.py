@@ -72,12 +72,18 @@ def estimate(case: Case, run: Run, smoother: Smoother | None = None) -> Motion:
 
 def smooth(grid: F64, time: F64, values: F64) -> tuple[F64, F64, F64]:
     """(value, first, second derivative) on even steps `grid` of (T, K) samples, by local cubics; NaN is bridged."""
+    value, rate, change = (_cubics(grid, time, values, order) for order in range(3))
+    return value, rate, change
+
+
+def _cubics(grid: F64, time: F64, values: F64, order: int) -> F64:
+    """One of these derivatives."""
     from scipy.signal import savgol_filter
 
     even = np.stack([_bridge(grid, time, column) for column in values.T], axis=1)
     step = float(grid[1] - grid[0])
     half = int(np.clip(round(HALF_WINDOW / step), 3, (len(grid) - 1) // 2))
-    return tuple(savgol_filter(even, 2 * half + 1, 3, deriv=d, delta=step, axis=0) for d in (0, 1, 2))
+    return np.asarray(savgol_filter(even, 2 * half + 1, 3, deriv=order, delta=step, axis=0))
 
 
 def rate_gain(time: F64) -> float:
@@ -181,8 +187,8 @@ def velocity_lag(case: Case) -> float:
         grid = np.arange(0.0, run.time[-1], step)
         speeds = np.stack([_bridge(grid, run.time, c) for c in run.signals["joint_vel"].T], axis=1)
         way = np.cumsum((speeds[1:] + speeds[:-1]) * step / 2, axis=0, dtype=float)  # blurred as positions are
-        slope = smooth(grid, run.time, run.signals["joint_pos"])[1]
-        told = smooth(grid, grid, np.concatenate([np.zeros_like(speeds[:1]), way]))[1]
+        slope = _cubics(grid, run.time, run.signals["joint_pos"], 1)
+        told = _cubics(grid, grid, np.concatenate([np.zeros_like(speeds[:1]), way]), 1)
         size = np.maximum(np.std(slope, axis=0), 1e-3)
         left = np.array([np.mean(((low_passed(slope, lag, step) - told) / size) ** 2) for lag in LAGS])
         shares.append(left / max(left[0], 1e-12))
