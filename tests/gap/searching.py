@@ -20,6 +20,18 @@ from tests.truths.written import write_case
 CONFIG = DiagnoseConfig(threads=1, settle_seconds=0.3)
 
 
+_KEPT: dict[int, tuple[Case, Simulator]] = {}
+
+
+def simulator_of(case: Case) -> Simulator:
+    """The nominal simulator of a case, one for the last few: setting one up takes as long as dozens of simulations."""
+    kept = _KEPT.pop(id(case), None) or (case, Simulator(case, CONFIG))
+    _KEPT[id(case)] = kept
+    if len(_KEPT) > 4:
+        _KEPT.pop(next(iter(_KEPT)))
+    return kept[1]
+
+
 @contextmanager
 def fitting(
     case: Case, effects: Sequence[str] = (), runs: Sequence[int] | None = None, config: DiagnoseConfig = CONFIG
@@ -32,12 +44,9 @@ def fitting(
 
 def logged(case: Case, settings: Sequence[Setting], seed: int = 0) -> Case:
     """The case with the log that its simulator writes under these settings, with a little noise."""
-    rng = np.random.default_rng(seed)
-    with Simulator(case, CONFIG) as simulator:
-        made = simulator.simulate(settings)
-        channels = simulator.channels
-    runs = []
-    for run, y in zip(case.runs, made, strict=True):
+    rng, runs, simulator = np.random.default_rng(seed), [], simulator_of(case)
+    channels = simulator.channels
+    for run, y in zip(case.runs, simulator.simulate(settings), strict=True):
         signals = {}
         for name in dict.fromkeys(c.signal for c in channels):
             values = y[:, [i for i, c in enumerate(channels) if c.signal == name]]

@@ -14,9 +14,8 @@ from realsim.gap.inference.causes.proposals import by_simulation
 from realsim.gap.inference.causes.starts import starts
 from realsim.gap.inference.likelihood.linear import log_evidence, marginal
 from realsim.gap.inference.likelihood.screen import slab
-from realsim.gap.simulation.simulate import Simulator
 
-from .searching import CONFIG, fitting, logged
+from .searching import fitting, logged, simulator_of
 from .truth import Truth
 
 GROUND = ("ground_friction", "contact_compliance", "terrain_height", "terrain_tilt", "terrain_scale", "terrain_wobble")
@@ -105,10 +104,11 @@ def test_what_a_finer_step_does_is_no_gap(settled: Case) -> None:
 
 def recover(name: str, case: Case) -> None:
     effect = EFFECTS[name]
-    with Simulator(case, CONFIG) as simulator:
-        place = effect.places(simulator.context)[0]
-        names = effect.variants[0] or tuple(p.name for p in effect.parameters(simulator.context, place))
-        first = next(p for p in effect.parameters(simulator.context, place) if p.name == names[0])
+    context = simulator_of(case).context
+    place = effect.places(context)[0]
+    parameters = effect.parameters(context, place)
+    names = effect.variants[0] or tuple(p.name for p in parameters)
+    first = next(p for p in parameters if p.name == names[0])
     value = SIZE.get(name, 1.5) * first.step
     case = logged(case, [(name, place, {first.name: value})])
     with fitting(case, (name,)) as fitter:
@@ -121,7 +121,7 @@ def recover(name: str, case: Case) -> None:
         fit = fitter.fit([Cause(candidate, tuple(begin))], more, few=fitter.rough(nominal))
         assert fit is not None
         fit = fitter.fit(fit.causes, iterations=6) or fit
-        defaults = {p.name: p.default for p in effect.parameters(simulator.context, place)} | {first.name: value}
+        defaults = {p.name: p.default for p in parameters} | {first.name: value}
         true = fitter.fit([Cause(candidate, tuple(defaults[n] for n in candidate.names))], iterations=1)
         assert true is not None
         assert fit.misfit < true.misfit + 0.1 * (nominal.misfit - true.misfit)

@@ -13,9 +13,9 @@ from realsim.gap.inference.causes.fitted import is_gap, leftover
 from realsim.gap.inference.causes.proposals import ranked
 from realsim.gap.inference.causes.select import select
 from realsim.gap.inference.likelihood.screen import Screen
-from realsim.gap.simulation.simulate import Setting, Simulator
+from realsim.gap.simulation.simulate import Setting
 
-from .searching import CONFIG, fitting, logged
+from .searching import CONFIG, fitting, logged, simulator_of
 from .test_recovery import GROUND, SIZE, UNSEEN
 from .truth import PENDULUM, Truth
 
@@ -75,9 +75,9 @@ def test_nothing_gets_in_beside_the_true_cause(name: str, pendulum: Case, arm: C
     effect = EFFECTS[name]
     # A length shows where something hangs at its end, and a friction of all joints needs several.
     case = arm if name in ("link_geometry", "friction_of_joints") else pendulum
-    with Simulator(case, CONFIG) as simulator:
-        place = effect.places(simulator.context)[0]
-        parameters = effect.parameters(simulator.context, place)
+    context = simulator_of(case).context
+    place = effect.places(context)[0]
+    parameters = effect.parameters(context, place)
     names = effect.variants[0] or tuple(p.name for p in parameters)
     values = {p.name: p.default for p in parameters}
     first = next(p for p in parameters if p.name == names[0])
