@@ -123,7 +123,7 @@ def _parts(contract: Contract, steps: Steps, which: int, loop: Loop, action: F64
     sent = run.command[:, order]
     now = _now(contract, run, order, sent, loop, action)
     rows = np.arange(len(sent), dtype=float)
-    stale = loop.stale[which] if loop.stale is not None else np.zeros(len(sent))
+    stale = 0.0 if loop.stale is None else loop.stale[which]
     parts = []
     for term in contract.terms:
         values = now[term.kind] if term.kind in now else np.zeros((len(sent), term.width))
@@ -170,13 +170,14 @@ def _now(contract: Contract, run: Run, order: Sequence[int], sent: F64, loop: Lo
 
 def _gravity(run: Run, source: str) -> F64:
     """(K, 3) down in the body's axes; or in the world's, turned by the inverse, or by a quaternion misread."""
+    if source == "body":
+        return run.down
     down = np.tile([0.0, 0.0, -1.0], (len(run.quat), 1))
     if source == "world":
         return down
     if source == "turned":
         return turn(run.quat, down)
-    quat = run.quat[:, [3, 0, 1, 2]] if source == "xyzw" else run.quat
-    return turn(quat * [1, -1, -1, -1], down)
+    return turn(run.quat[:, [3, 0, 1, 2]] * [1, -1, -1, -1], down)
 
 
 def actions(contract: Contract, sent: F64, loop: Loop) -> F64:
@@ -197,7 +198,7 @@ def _history(values: F64, term: Term, loop: Loop) -> F64:
     """(K, length, W), oldest first; before the first moment there was the first moment."""
     held = term.history if loop.length is None else min(loop.length, term.history)
     back = np.minimum(np.arange(term.history)[::-1], held - 1) * loop.skipped
-    rows = values[np.maximum(np.arange(len(values))[:, None] - back, 0)]
+    rows = np.take(values, np.maximum(np.arange(len(values))[:, None] - back, 0), axis=0)
     return rows[:, ::-1] if loop.newest_first else rows
 
 
@@ -241,7 +242,7 @@ def _with_unknown(
     """
     which = next(i for i, t in enumerate(contract.terms) if t.kind == kind)
     term, count = contract.terms[which], len(sent)
-    windows = np.arange(count) // WINDOW
+    windows, ends = np.arange(count) // WINDOW, [(0, -count % WINDOW), (0, 0)]
     value = np.zeros((windows[-1] + 1, term.width))
 
     def given(per_row: F64) -> F64:
@@ -252,9 +253,10 @@ def _with_unknown(
     for _ in range(2):
         here = given(value[windows])
         slopes = np.stack([(given(value[windows] + e) - here) / 0.05 for e in 0.05 * np.eye(term.width)], axis=2)
-        for w in range(len(value)):
-            rows = windows == w
-            x, y = slopes[rows].reshape(-1, term.width), (sent - here)[rows].ravel()
-            step = np.linalg.solve(x.T @ x + 1e-6 * np.eye(term.width) * max(np.trace(x.T @ x), 1e-9), x.T @ y)
-            value[w] = np.clip(value[w] + step, -2.0, 2.0)
+        x = np.pad(slopes, [*ends, (0, 0)]).reshape(len(value), -1, term.width)
+        y = np.pad(sent - here, ends).reshape(len(value), -1, 1)
+        A = x.mT @ x
+        ridge = 1e-6 * np.maximum(np.trace(A, axis1=1, axis2=2), 1e-9)
+        step = np.linalg.solve(A + ridge[:, None, None] * np.eye(term.width), x.mT @ y)
+        value = np.clip(value + step[..., 0], -2.0, 2.0)
     return given(value[windows])

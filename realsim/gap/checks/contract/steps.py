@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -44,6 +45,11 @@ class Run:
     """(K, H, W) m: the newest depth frame at each row."""
     images: F64 | None = None
     """(K, M, H, W) what the network is shown at each row; see `loop.looking`."""
+
+    @cached_property
+    def down(self) -> F64:
+        """(K, 3) down in the body's axes. A search asks for it thousands of times."""
+        return turn(self.quat * [1, -1, -1, -1], np.tile([0.0, 0.0, -1.0], (len(self.quat), 1)))
 
     def at(self, rows: Any, seen: Any = None) -> Run:
         """Only these rows; `seen` are those of the readings, where they are others than those of the commands."""
