@@ -2,7 +2,6 @@
 
 import io
 import re
-import struct
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 from realsim.capture.pcdfile import read_columns, read_header, unpack_rgb
 from realsim.core.errors import CaptureError, MissingExtraError, RealsimError
 from realsim.core.files import check_size, read_bytes, read_head
-from realsim.core.glbfile import check_glb
+from realsim.core.meshfile import check_packing, plain_stl
 from realsim.core.objfile import parse_obj
 from realsim.core.types import F64, U8
 
@@ -117,7 +116,8 @@ def read_ply(path: Path) -> RawScan:
     if not head.startswith(b"ply") or count is None:
         raise CaptureError("not a PLY file", file=path, expected="a header with `element vertex`")
     check_count(int(count[1]), path)
-    raw = _load(path)
+    check_packing(head, path)
+    raw = _load(path, read_bytes(path, MAX_SCAN_BYTES))
     told = re.search(rb"element face (\d+)", head)
     # Readers of the text form take what is there; polygons make more triangles than the header has faces, never fewer.
     found = 0 if raw.triangles is None else len(raw.triangles)
@@ -133,17 +133,17 @@ def read_ply(path: Path) -> RawScan:
 
 def read_stl(path: Path) -> RawScan:
     """A mesh whose triangles share no vertices in the file: equal ones are joined."""
-    head = read_head(path, 84)
-    told = struct.unpack("<I", head[80:])[0] if len(head) == 84 else 0
+    data, after = plain_stl(read_bytes(path, MAX_SCAN_BYTES))
+    told = int.from_bytes(data[80:84], "little")
     warnings: tuple[str, ...] = ()
     # Text begins with `solid`, and so do some binary files: the size tells.
-    if 84 + 50 * told == path.stat().st_size:
+    if 84 + 50 * told == len(data):
         check_count(3 * told, path)
-        warnings = _damaged_normals(np.frombuffer(read_bytes(path, MAX_SCAN_BYTES), STL_TRIANGLE, told, 84))
-    raw = _load(path)
+        warnings = _damaged_normals(np.frombuffer(data, STL_TRIANGLE, told, 84))
+    raw = _load(path, data)
     points, index = np.unique(raw.points, axis=0, return_inverse=True)
     triangles = None if raw.triangles is None else index.ravel()[raw.triangles].astype(np.int32)
-    notes = raw.notes
+    notes = raw.notes + after
     if triangles is not None and (flat := int((triangles == np.roll(triangles, 1, axis=1)).any(axis=1).sum())):
         notes = (*notes, f"{flat} of {len(triangles)} triangles have no area: the file may be damaged there")
     return replace(raw, points=points, triangles=triangles, normals=None, colors=None, notes=notes, warnings=warnings)
@@ -189,19 +189,19 @@ def read_obj(path: Path) -> RawScan:
 
 def read_glb(path: Path) -> RawScan:
     """All meshes of a glTF file in its world, which has y up and metres."""
-    check_glb(read_bytes(path, MAX_SCAN_BYTES), path)
-    raw = _load(path)
+    data = read_bytes(path, MAX_SCAN_BYTES)
+    check_packing(data, path)
+    raw = _load(path, data)
     return replace(raw, up=(0.0, 1.0, 0.0), notes=("y is up (glTF)", *raw.notes))
 
 
-def _load(path: Path) -> RawScan:
+def _load(path: Path, data: bytes) -> RawScan:
     """Any mesh or cloud through trimesh: from memory, so that it cannot follow names of other files."""
     import trimesh
 
-    data = io.BytesIO(read_bytes(path, MAX_SCAN_BYTES))
     suffix = path.suffix.lower()
     # Of a PLY that names a picture, trimesh would look for it and log a traceback.
-    scene = trimesh.load_scene(data, file_type=suffix[1:], process=False, skip_materials=suffix == ".ply")
+    scene = trimesh.load_scene(io.BytesIO(data), file_type=suffix[1:], process=False, skip_materials=suffix == ".ply")
     parts = []
     for node in scene.graph.nodes_geometry:
         T, name = scene.graph[node]

@@ -1,6 +1,7 @@
 """Any mesh made fit for collision: read, checked and repaired, with a list of the repairs."""
 
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -8,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.core.errors import ExportError
-from realsim.core.files import check_size, read_bytes
-from realsim.core.glbfile import check_glb
+from realsim.core.files import read_bytes
 from realsim.core.meshes import (
     across,
     areas,
@@ -22,6 +22,7 @@ from realsim.core.meshes import (
     lost_precision,
     origin_note,
 )
+from realsim.core.meshfile import check_packing, plain_stl
 from realsim.core.objfile import parse_obj
 from realsim.core.types import F64, MeshQuality, TerrainMesh
 from realsim.export.contact.columns import check_extent, crossings
@@ -152,23 +153,24 @@ def _read(path: Path) -> tuple[F64, NDArray[np.int64], list[str]]:
     """(vertices (V, 3), triangles (K, 3), what could not be read) of a file, in its own unit and frame."""
     import trimesh
 
-    check_size(path)
-    suffix = path.suffix.lower()
-    if suffix == ".glb":
-        check_glb(read_bytes(path), path)
+    data, suffix = read_bytes(path), path.suffix.lower()
+    check_packing(data, path)
+    data, notes = plain_stl(data) if suffix == ".stl" else (data, ())
     try:
         if suffix == ".obj":
-            mesh = parse_obj(path.read_bytes())
+            mesh = parse_obj(data)
             left_out = [f"{mesh.bad_faces} of {mesh.faces} faces could not be read"] if mesh.bad_faces else []
             return mesh.vertices, mesh.triangles.astype(np.int64), left_out
-        loaded: Any = trimesh.load(path, force="mesh", process=False, skip_materials=True)
+        loaded: Any = trimesh.load(
+            BytesIO(data), file_type=suffix[1:], force="mesh", process=False, skip_materials=True
+        )
         vertices, triangles = np.asarray(loaded.vertices, float), np.asarray(loaded.faces, np.int64)
     except Exception as error:  # readers of broken files raise whatever comes up
         found = f"a file that is cut off or damaged ({type(error).__name__}: {error})"
         raise ExportError("the mesh cannot be read", file=path, found=found, hint=AGAIN) from error
     if suffix == ".stl" and not len(triangles):
         raise ExportError("the mesh cannot be read", file=path, found="no triangle: cut off, or no STL", hint=AGAIN)
-    return vertices, triangles, []
+    return vertices, triangles, [*notes]
 
 
 def _used(vertices: F64, triangles: NDArray[Any]) -> F64:

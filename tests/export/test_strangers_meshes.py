@@ -212,22 +212,48 @@ def test_furniture_in_another_unit_is_asked_about(tmp_path: Path) -> None:
     assert read_mesh(tmp_path / "ground.stl").question is None
 
 
-def test_geometry_of_a_glb_that_is_not_read_is_refused(tmp_path: Path) -> None:
-    """Packed, or placed by an extension: it would be zeros, or one thing of many."""
-    for key, name in (
-        ("extensionsRequired", "KHR_draco_mesh_compression"),
-        ("extensionsUsed", "EXT_mesh_gpu_instancing"),
+def test_geometry_that_is_not_read_is_refused_by_name(tmp_path: Path) -> None:
+    """Packed, or placed by an extension: it would be zeros, or one thing of many; fans and strips would be missing."""
+    exported = put_together(*STEPS).export(file_type="glb")
+    size = int.from_bytes(exported[12:16], "little")
+    rest, document = exported[20 + size :], json.loads(exported[20 : 20 + size])
+    fans = [m | {"primitives": [p | {"mode": 6} for p in m["primitives"]]} for m in document["meshes"]]
+    strips = b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+    strips += b"element tristrips 1\nproperty list int int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 1\n3 0 1 2\n"
+    (tmp_path / "strips.ply").write_bytes(strips)
+    for k, (change, name) in enumerate(
+        (
+            ({"extensionsRequired": ["KHR_draco_mesh_compression"]}, "KHR_draco_mesh_compression"),
+            ({"extensionsUsed": ["EXT_mesh_gpu_instancing"]}, "EXT_mesh_gpu_instancing"),
+            ({"meshes": fans}, "fans"),
+            (None, "strips"),
+        )
     ):
-        exported = put_together(*STEPS).export(file_type="glb")
-        size = int.from_bytes(exported[12:16], "little")
-        head = json.dumps(json.loads(exported[20 : 20 + size]) | {key: [name]}).encode()
-        head += b" " * (-len(head) % 4)
-        rest = exported[20 + size :]
-        start = b"glTF" + struct.pack("<III4s", 2, 20 + len(head) + len(rest), len(head), b"JSON")
-        (tmp_path / "a.glb").write_bytes(start + head + rest)
+        path = tmp_path / "strips.ply"
+        if change is not None:
+            path = tmp_path / f"{k}.glb"
+            head = json.dumps(document | change).encode()
+            head += b" " * (-len(head) % 4)
+            start = b"glTF" + struct.pack("<III4s", 2, 20 + len(head) + len(rest), len(head), b"JSON")
+            path.write_bytes(start + head + rest)
         for read in (read_mesh, read_scan):
             with pytest.raises(RealsimError, match=name):
-                read(tmp_path / "a.glb")
+                read(path)
+
+
+def test_what_follows_the_last_triangle_of_an_stl_is_left_out_and_said(tmp_path: Path) -> None:
+    path, written = tmp_path / "a.stl", put_together(*STEPS).export(file_type="stl")
+    path.write_bytes(written)
+    mesh, scan = read_mesh(path), read_scan(path)
+    path.write_bytes(written + b"appended by a program")
+    again, scan_again = read_mesh(path), read_scan(path)
+    assert np.array_equal(again.terrain.triangles, mesh.terrain.triangles)
+    assert np.array_equal(scan_again.triangles, scan.triangles)
+    assert all(any("21 bytes after" in note for note in notes) for notes in (again.notes, scan_again.notes))
+    path.write_bytes(written + bytes(50))  # a triangle more than the header counts: which of the two is right?
+    for read in (read_mesh, read_scan):
+        with pytest.raises(RealsimError):
+            read(path)
 
 
 def test_a_hollow_of_facets_has_no_slots_between_its_parts() -> None:
