@@ -17,6 +17,7 @@ from realsim.core.types import F64, SceneFiles
 from realsim.export.config import SceneConfig
 from realsim.export.contact.islands import PIT_AREA
 from realsim.export.contact.shape import Solids
+from realsim.export.contact.sides import FREE
 from realsim.export.ground import DEEP, GroundLevel, ground_level, hidden_cm2
 from realsim.export.mend import read_mesh
 from realsim.export.scene import write_terrain
@@ -117,6 +118,11 @@ def contact_verdict(contact: Mapping[str, Any], tolerance: tuple[float, float]) 
             look.append(f"The contact error is {found:.1f} mm ({name}), above the limit of {1000 * most:g} mm.")
     if contact["phantom_over_gaps_cm2"]:
         look.append(f"{contact['phantom_over_gaps_cm2']:.0f} cm2 of contact surface span gaps that a foot fits in.")
+    if contact.get("free_sides_cm2", 0.0) > FREE:
+        where = ", ".join(f"{v:.2f}" for v in contact["free_sides_at"])
+        look.append(
+            f"{contact['free_sides_cm2']:.0f} cm2 of the sides of a part stand in free air, about ({where}): a ghost."
+        )
     off = [(name, share, check, reject) for name, share, check, reject in shares(contact) if not share <= check]
     for name, share, check, reject in off:
         most, said = (check, look) if share <= reject else (reject, bad)

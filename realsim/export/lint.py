@@ -16,9 +16,10 @@ from realsim.core.types import F64
 from realsim.export.any_mesh import GOOD, contact_verdict
 from realsim.export.config import SceneConfig
 from realsim.export.contact.fidelity import EDGE, measure
-from realsim.export.contact.polytope import SIGNS, Polytope
+from realsim.export.contact.polytope import Polytope
 from realsim.export.contact.probe import Reference
 from realsim.export.contact.seams import open_seams
+from realsim.export.formats.scene import primitive_corners
 
 SAMPLES = 2000
 """Points of a mesh that are compared with its hull."""
@@ -151,7 +152,7 @@ def _static(model: Any, path: Path) -> _Static:
                 spec.worldbody.add_geom(type=kind, meshname=mesh.name, contype=1, conaffinity=1)
                 parts.append((name, Polytope(world)))
         elif collides:
-            corners = _corners(kinds(kind).name.removeprefix("mjGEOM_").lower(), model.geom_size[g])
+            corners = primitive_corners(kinds(kind), model.geom_size[g])
             if corners is None:
                 raise ExportError(
                     "a static geom of a kind that cannot be measured",
@@ -172,24 +173,6 @@ def _static(model: Any, path: Path) -> _Static:
         )  # fmt: skip
     lowest = min(float(v[:, 2].min()) for v, _ in drawn)
     return _Static(spec, drawn, parts, hulls, max(planes, default=lowest), len(planes))
-
-
-def _corners(kind: str, size: F64) -> F64 | None:
-    """(M, 3) corners of a primitive in its own frame, round ones to a thousandth; None of a kind without."""
-    a, b, _ = size
-    turn = np.arange(72) * np.pi / 36
-    circle = np.column_stack([np.cos(turn), np.sin(turn), 0 * turn])
-    rise = np.radians(np.arange(-85, 90, 5))[:, None, None]
-    ball = (np.cos(rise) * circle + np.sin(rise) * [0, 0, 1]).reshape(-1, 3)
-    ends = np.array([[0, 0, -b], [0, 0, b]])
-    made = {
-        "box": SIGNS * size,
-        "sphere": a * ball,
-        "ellipsoid": size * ball,
-        "cylinder": (a * circle + ends[:, None]).reshape(-1, 3),
-        "capsule": (a * ball + ends[:, None]).reshape(-1, 3),
-    }
-    return made.get(kind)
 
 
 def _off_hull(vertices: F64, faces: NDArray[Any]) -> float:

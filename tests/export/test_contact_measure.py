@@ -5,10 +5,11 @@ import pytest
 
 from realsim.core.types import TerrainMesh
 from realsim.export import CONTACT
+from realsim.export.any_mesh import contact_verdict
 from realsim.export.contact.base import Asset, ContactModel, Geom, floor_plane
 from realsim.export.contact.boxes import boxes
 from realsim.export.contact.cost import standing_place
-from realsim.export.contact.fidelity import Region, g1_foot, measure
+from realsim.export.contact.fidelity import FAULTLESS, Region, g1_foot, measure
 from realsim.export.contact.probe import BALL, Reference, SimTouch, first_touch, spec_of
 from realsim.export.contact.shape import Shape
 from tests.export.measured import CONFIG, FACING_UP, fidelity, reference
@@ -118,7 +119,43 @@ def test_a_ray_that_meets_something_invented_first_does_not_count() -> None:
     invented = np.arange(len(whole.faces)) >= len(floor.faces) + len(seen.faces)
     vertices, faces = np.asarray(whole.vertices, float), np.asarray(whole.faces, np.int32)
     low, high = np.array([-2.0, -1.5]), np.array([-0.5, 1.5])
-    assert side_figures(spec, Reference(vertices, faces, invented), low, high, 0.0)["rays"] == 0
-    between = side_figures(spec, Reference(vertices, faces, invented), np.array([0.5, -1.5]), np.array([1.5, 1.5]), 0.0)
+    touch = SimTouch(spec, BALL)
+    assert side_figures(touch, Reference(vertices, faces, invented), low, high, 0.0)["rays"] == 0
+    low, high = np.array([0.5, -1.5]), np.array([1.5, 1.5])
+    between = side_figures(touch, Reference(vertices, faces, invented), low, high, 0.0)
     assert between["rays"] > 50
     assert between["stopped"] == 1.0
+
+
+def test_a_pillar_below_what_floats_stands_in_free_air_and_a_block_below_a_sheet_does_not() -> None:
+    import mujoco
+    import trimesh
+
+    from realsim.export.contact.sides import FREE, free_side_figures
+
+    def figures(drawn, *solid) -> dict:
+        """Of boxes, (size, middle) each."""
+        spec = mujoco.MjSpec()
+        for size, middle in solid:
+            spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=np.array(size) / 2, pos=middle)
+        vertices, faces = np.asarray(drawn.vertices, float), np.asarray(drawn.faces, np.int32)
+        return free_side_figures(SimTouch(spec, BALL), Reference(vertices, faces), 0.0)
+
+    def drawn(size, middle):
+        return trimesh.creation.box(size, trimesh.transformations.translation_matrix(middle))
+
+    platform, speck = ((0.6, 0.6, 0.1), (0, 0, 0.05)), ((0.05, 0.05, 0.05), (0.1, 0, 0.9))
+    mesh = trimesh.util.concatenate([drawn(*platform), drawn(*speck)])
+    assert figures(mesh, platform, speck)["free_sides_cm2"] == 0
+    assert contact_verdict(FAULTLESS | {"hidden_cm2": 0.0}, CONFIG.contact_tolerance)["level"] == "good"
+    found = figures(mesh, platform, ((0.05, 0.05, 0.825), (0.1, 0, 0.5125)))
+    assert found["free_sides_cm2"] == pytest.approx(4 * 5 * (87.5 - 10 - 2 * 3), rel=0.1)
+    assert found["free_sides_cm2"] > FREE
+    verdict = contact_verdict(FAULTLESS | {"hidden_cm2": 0.0} | found, CONFIG.contact_tolerance)
+    assert verdict["level"] == "look"
+    assert "free air, about (0.10, 0.00," in verdict["headline"]
+    assert found["free_sides_at"][:2] == pytest.approx([0.1, 0], abs=0.01)
+    sheet = trimesh.Trimesh(
+        [[-0.3, -0.3, 0.5], [0.3, -0.3, 0.5], [0.3, 0.3, 0.5], [-0.3, 0.3, 0.5]], [[0, 1, 2], [0, 2, 3]]
+    )
+    assert figures(sheet, ((0.61, 0.61, 0.5), (0, 0, 0.25)))["free_sides_cm2"] == 0

@@ -20,6 +20,7 @@ from realsim.export.contact.islands import FINE
 from realsim.export.contact.patches import noise_of
 from realsim.export.contact.probe import Reference, spec_of
 from realsim.export.contact.shape import Shape, Solids
+from realsim.export.contact.sides import FREE
 
 # Cheapest first. A height field is soon built, and the first rays tell where it lacks sides; sheets take minutes.
 # `convex` takes a minute to build and is better than none of these, `sdf` costs a hundred planes.
@@ -135,7 +136,7 @@ def fit_contact(
         heights = reference.top(start[:, :2], start[:, 2])
         place = standing_place(np.column_stack([start[:, :2], heights])[np.isfinite(heights) & (np.abs(off) < 0.01)])
     cost = step_cost(spec_of(contact), place)
-    weighed = ("median_mm", "p95_mm", "phantom_over_gaps_cm2", "leaks")
+    weighed = ("median_mm", "p95_mm", "phantom_over_gaps_cm2", "free_sides_cm2", "leaks")
     considered = refused + [
         {"representation": t.contact.representation}
         | {k: t.fidelity.figures[k] for k in weighed if k in t.fidelity.figures}
@@ -190,9 +191,10 @@ def _unmet(contact: ContactModel, fidelity: Fidelity, tolerance: tuple[float, fl
     return (
         f"collision geometry ({contact.representation}{least}) is off by {f['median_mm']:.1f} mm (median), "
         f"{f['p95_mm']:.1f} mm (p95), {f['phantom_over_gaps_cm2']:.0f} cm2 phantom over gaps, "
+        f"{f['free_sides_cm2']:.0f} cm2 of a part's sides in free air, "
         f"{f['leaks']} leak{'s' * (f['leaks'] != 1)}, {said_of_shares(fidelity)}; "
         f"limits: {tolerance[0] * 1000:g} mm median, {tolerance[1] * 1000:g} mm p95, no "
-        f"phantom over gaps, no leak, {OFF:.0%} of heights and of rays"
+        f"phantom over gaps, {FREE:g} cm2 in free air, no leak, {OFF:.0%} of heights and of rays"
     )
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from realsim.core.types import F64
 from realsim.export.contact.leaks import count_leaks
 from realsim.export.contact.probe import BALL, BALL_RADIUS, CEILING, Probe, Reference, SimTouch, first_touch
-from realsim.export.contact.sides import side_figures
+from realsim.export.contact.sides import FREE, free_side_figures, side_figures
 
 UPRIGHT = np.array([1.0, 0, 0, 0])
 EDGE = 0.015  # metres: what is farther off than this is phantom or missing surface
@@ -28,6 +28,7 @@ FAULTLESS: dict[str, Any] = {
     "median_mm": 0.0,
     "p95_mm": 0.0,
     "phantom_over_gaps_cm2": 0.0,
+    "free_sides_cm2": 0.0,
     "leaks": 0,
     "leak_objects": 0,
     "drop": {"phantom_share": 0.0, "missing_share": 0.0},
@@ -96,11 +97,13 @@ class Fidelity:
     """Of the balls that were lowered: the error map."""
 
     def meets(self, median: float, p95: float) -> bool:
-        """Whether the tolerance is met: errors in metres, no leak, no phantom surface over a gap wider than a foot, and
-        at most OFF of the heights and of the rays from the side off, as far as so few tell (two standard errors)."""
+        """Whether the tolerance is met: errors in metres, no leak, no phantom surface over a gap wider than a foot, no
+        part whose sides stand in free air, and at most OFF of the heights and of the rays from the side off, as far as
+        so few tell (two standard errors)."""
         f = {**FAULTLESS, **self.figures}
         ok = f["median_mm"] <= median * 1000 and f["p95_mm"] <= p95 * 1000
-        return bool(ok and f["leaks"] == 0 and f["phantom_over_gaps_cm2"] == 0 and self.sound)
+        ok &= f["leaks"] == 0 and f["phantom_over_gaps_cm2"] == 0 and f["free_sides_cm2"] <= FREE
+        return bool(ok and self.sound)
 
     @property
     def sound(self) -> bool:
@@ -119,13 +122,15 @@ class Fidelity:
 
     def shortfall(self, median: float, p95: float) -> float:
         """Distance from the tolerance, to rank candidates: errors and shares that are off in tolerances, phantom over
-        gaps in square decimetres, and one for every LEAK of the balls thrown that got in, added up.
+        gaps in square decimetres, one for sides in free air, and one for every LEAK of the balls thrown that got in,
+        added up.
 
         Leaks do not go first: a height field lets few balls in, and fills a whole room below its ceiling."""
         f = {**FAULTLESS, **self.figures}
         leaks = f["leaks"] / max(f["leak_objects"], 1) / LEAK
         errors = f["median_mm"] / (1000 * median) + f["p95_mm"] / (1000 * p95)
-        return float(leaks + errors + sum(self.off) / OFF + f["phantom_over_gaps_cm2"] / 100)
+        gaps = f["phantom_over_gaps_cm2"] / 100 + (f["free_sides_cm2"] > FREE)
+        return float(leaks + errors + sum(self.off) / OFF + gaps)
 
 
 def measure(spec: Any, reference: Reference, ground_z: float, **options: Any) -> Fidelity:
@@ -148,9 +153,10 @@ def measured(
 ) -> Iterator[Fidelity]:
     """Probe the collision geoms of `spec` (`MjSpec`, any MJCF) against a reference surface.
 
-    (1) Rays and balls go level against what was seen at the side; (2) balls of 1 cm are lowered on a grid; (3) balls
-    are thrown onto the terrain to see whether any gets in; (4) balls are pushed sideways and up beside whatever rises,
-    and G1's foot is lowered flat and tilted, and slid into edges.
+    (1) Rays and balls go level against what was seen at the side, and sides of parts are looked for in free air;
+    (2) balls of 1 cm are lowered on a grid; (3) balls are thrown onto the terrain to see whether any gets in;
+    (4) balls are pushed sideways and up beside whatever rises, and G1's foot is lowered flat and tilted, and slid into
+    edges.
 
     Yields the figures after each of these: a tolerance that is not met then never will be, and a shortfall only grows.
 
@@ -165,11 +171,11 @@ def measured(
     """
     tick(0.0)
     region = Region.around(reference, ground_z)
-    sides = side_figures(spec, reference, region.lower, region.upper, ground_z, seed, bare=bare)
-    figures: dict[str, Any] = {"sides": sides}
+    ball = _Compare(spec, reference, BALL)
+    sides = side_figures(ball.sim, reference, region.lower, region.upper, ground_z, seed, bare=bare)
+    figures: dict[str, Any] = {"sides": sides} | free_side_figures(ball.sim, reference, ground_z, noise)
     yield Fidelity(figures, Touches(np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros((0, 3)), np.zeros(0)))
     tick(0.2)
-    ball = _Compare(spec, reference, BALL)
     xy, cell = region.grid(probes)
     lowered = ball.lower(xy, np.tile(UPRIGHT, (len(xy), 1)), region)
     lowered = _where_seen(lowered, reference, ground_z)

@@ -66,7 +66,9 @@ class SimTouch:
         import mujoco
 
         self._mj = mujoco
-        spec = terrain_only(spec)
+        self.spec = terrain_only(spec)
+        """`MjSpec` of what is touched, alone."""
+        spec = self.spec.copy()
         spec.memory = 256 * 2**20
         # Probes have no affinity: they touch the terrain and never each other.
         common = {"size": [probe.radius, 0, 0], "mass": 1e-3, "contype": 1, "conaffinity": 0, "margin": MARGIN}

@@ -4,14 +4,13 @@ from typing import Any
 
 import numpy as np
 
+from realsim.core.meshes import across, connected, sampled
 from realsim.core.types import F64
 from realsim.export.contact.probe import (
-    BALL,
     BALL_RADIUS,
     Reference,
     SimTouch,
     first_touch,
-    terrain_only,
     triangles_of,
 )
 
@@ -24,10 +23,13 @@ WITHIN = 0.03  # metres about the surface in which a ray has to stop
 UPRIGHT = 0.5  # most |z| of the normal of a side face
 RUN = 0.10  # metres before the surface from which a ball is pushed
 ENOUGH = 50  # rays; what fewer of them say is chance
+FREE = 100.0  # cm2 of one part's sides that may stand in free air: as much as is no pit (`islands.PIT_AREA`)
+SPACING, MOST = 0.02, 50_000  # metres between places on the sides of parts, and how many at most
+OUTSIDE = 0.001  # metres beside a part at which others do not cover it
 
 
 def side_figures(
-    spec: Any, reference: Reference, lower: F64, upper: F64, ground_z: float, seed: int = 0, *, bare: bool = False
+    touch: SimTouch, reference: Reference, lower: F64, upper: F64, ground_z: float, seed: int = 0, *, bare: bool = False
 ) -> dict:
     """Level rays from free places against what was seen, and balls pushed against it where they hit.
 
@@ -40,6 +42,7 @@ def side_figures(
     seen surface. Through is what lets it go on for more than WITHIN.
 
     Args:
+        touch: balls of 1 cm against the terrain.
         lower, upper: (2,) rectangle in which places lie, metres.
         bare: whether the ground goes on where the mesh has no surface, so that places are free there and around it.
 
@@ -61,14 +64,51 @@ def side_figures(
     out: dict[str, Any] = {"rays": len(hit), "stopped": None, "through": None, "early": None}
     if len(hit) < ENOUGH:
         return out | {"by_height_m": {}, "balls": 0, "balls_through": None}
-    touch = SimTouch(spec, BALL)
-    off = _stops(spec, touch, starts, ways) - hit
+    off = _stops(touch, starts, ways) - hit
     early = np.flatnonzero(off < -WITHIN)
     near = surface.distance(starts[early] + (hit + off)[early, None] * ways[early]) <= WITHIN
     off[early[near]] = 0.0
     out |= _shares(off)
     by_height = {f"{h:g}": _shares(off[height == h]) for h in HEIGHTS if (height == h).sum() >= ENOUGH}
     return out | {"by_height_m": by_height} | _balls(touch, surface, starts, ways, hit)
+
+
+def free_side_figures(touch: SimTouch, reference: Reference, ground_z: float, noise: float = 0.0) -> dict[str, Any]:
+    """Sides of parts that stand in free air, far from any surface: of a pillar under what floats, most of them.
+
+    Far is more than WITHIN and the `noise` (metres) that the surface itself has. Air is free in front of the nearest
+    surface, and not where a solid reaches down from a surface that has no underside.
+
+    Returns:
+        JSON-able: `free_sides_cm2` of the part that has most of them, and about where, (3,) `free_sides_at` or None.
+    """
+    vertices, faces = triangles_of(touch.spec)
+    part, cross = connected(faces), across(vertices, faces)
+    area = np.linalg.norm(cross, axis=1) / 2
+    low, far = ground_z + WITHIN, WITHIN + noise
+    side = (np.abs(cross[:, 2]) < 2 * UPRIGHT * area) & (vertices[faces][..., 2].max(1) > low)
+    faces, part, cross, area = faces[side], part[side], cross[side], area[side]
+    count = int(np.clip(area.sum() / SPACING**2, 1, MOST))
+    none = {"free_sides_cm2": 0.0, "free_sides_at": None}
+    if not len(faces):
+        return none
+    points, face = sampled(vertices, faces, count, np.random.default_rng(0))
+    out = cross[face] / np.maximum(np.linalg.norm(cross[face], axis=1, keepdims=True), 1e-15)
+    here = (points[:, 2] > low) & (reference.distance(points) > far)
+    points, face, out = points[here], face[here], out[here]
+    bare = touch.clearance(points + OUTSIDE * out, np.tile([1.0, 0, 0, 0], (len(points), 1))) > -BALL_RADIUS
+    bare &= ~reference.buried(points - WITHIN * out)
+    t, facing, _ = reference.cast(points, -reference.normals(points))
+    bare &= np.isfinite(t) & (facing < 0)
+    points, of = points[bare], part[face[bare]]
+    if not len(points):
+        return none
+    most = int(np.bincount(of).argmax())
+    found = (of == most).sum() * area.sum() / count
+    return {
+        "free_sides_cm2": round(1e4 * float(found), 2),
+        "free_sides_at": points[of == most].mean(0).round(3).tolist(),
+    }
 
 
 def _rays(
@@ -90,11 +130,11 @@ def _rays(
     return np.concatenate(starts), np.concatenate(ways), np.concatenate(heights)
 
 
-def _stops(spec: Any, touch: SimTouch, starts: F64, ways: F64) -> F64:
+def _stops(touch: SimTouch, starts: F64, ways: F64) -> F64:
     """(N,) metres to where the collision geoms stop each ray; 0 where it starts in one, inf where none does."""
     places, which = np.unique(starts, axis=0, return_inverse=True)
     inside = touch.clearance(places, np.tile([1.0, 0, 0, 0], (len(places), 1))) <= -BALL_RADIUS
-    stop = Reference(*triangles_of(terrain_only(spec))).cast(starts, ways)[0]
+    stop = Reference(*triangles_of(touch.spec)).cast(starts, ways)[0]
     stop[inside[which.reshape(-1)]] = 0.0
     return stop
 

@@ -179,6 +179,8 @@ def _collision(model: Any, data: Any) -> tuple[tuple[Box, ...], tuple[Convex, ..
                 convex.append(_hull(name, points))
             else:  # it collides as what it is, hollows too
                 surfaces.append(Convex(name, points, faces))
+        elif (corners := primitive_corners(kind, model.geom_size[g])) is not None:
+            convex.append(_hull(name, corners @ rotation.T + position))
         else:
             raise ExportError(
                 "a geom of a kind that other formats do not have",
@@ -209,6 +211,24 @@ def height_nodes(vertices: F64, depth: float) -> tuple[F64, list[float], list[fl
     columns = int(np.flatnonzero(np.diff(vertices[:, 1]) > 1e-9)[0]) + 1
     size = [*((high - low)[:2] / 2), max(high[2] - low[2], 1e-6), depth]
     return (vertices[:, 2] - low[2]).reshape(-1, columns), size, [*((low + high)[:2] / 2), low[2]]
+
+
+def primitive_corners(kind: Any, size: F64) -> F64 | None:
+    """(M, 3) corners of a primitive, an `mjtGeom`, in its own frame, round ones to a thousandth, or None."""
+    a, b, _ = size
+    turn = np.arange(72) * np.pi / 36
+    circle = np.column_stack([np.cos(turn), np.sin(turn), 0 * turn])
+    rise = np.radians(np.arange(-85, 90, 5))[:, None, None]
+    ball = (np.cos(rise) * circle + np.sin(rise) * [0, 0, 1]).reshape(-1, 3)
+    ends = np.array([[0, 0, -b], [0, 0, b]])
+    made = {
+        "box": SIGNS * size,
+        "sphere": a * ball,
+        "ellipsoid": size * ball,
+        "cylinder": (a * circle + ends[:, None]).reshape(-1, 3),
+        "capsule": (a * ball + ends[:, None]).reshape(-1, 3),
+    }
+    return made.get(kind.name.removeprefix("mjGEOM_").lower())
 
 
 def _hull(name: str, points: F64) -> Convex:
