@@ -1,6 +1,6 @@
 """Parts whose hull adds nothing to the shape are made one: a frustum cut under each of its faces is one part again."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,8 @@ ALIKE = 0.98
 """Cosine between faces that are one: its plane is that of the largest."""
 AT_ONCE = 5000
 """Points times parts that are compared at a time, some 0.5 MB; the result does not depend on it."""
+SOME = 8
+"""Points that are looked at before the others, where one that is outside decides."""
 MOST_CORNERS = 64
 """Of one part; colliders on a GPU take no more."""
 
@@ -35,18 +37,26 @@ class Neighbours:
 
     def __init__(self, parts: Iterable[Polytope]) -> None:
         bounds = np.array([(p.lower, p.upper) for p in parts]).reshape(-1, 2, 3)
-        self.lower, self.upper = bounds[:, 0], bounds[:, 1]
+        self.lower, self.upper = np.ascontiguousarray(bounds[:, 0].T), np.ascontiguousarray(bounds[:, 1].T)
 
     def update(self, i: int, part: Polytope | None) -> None:
         """A part that changed, or is gone."""
-        self.lower[i], self.upper[i] = (np.inf, -np.inf) if part is None else (part.lower, part.upper)
+        self.lower[:, i], self.upper[:, i] = (np.inf, -np.inf) if part is None else (part.lower, part.upper)
 
     def of(self, low: F64, high: F64, but: int = -1) -> NDArray[np.int64]:
         """Those that meet a box."""
-        meets: NDArray[np.bool_] = np.asarray(((self.lower <= high) & (self.upper >= low)).all(1))
+        meets = np.ones(self.lower.shape[1], bool)
+        for k in range(3):
+            meets &= (self.lower[k] <= high[k]) & (self.upper[k] >= low[k])
         if but >= 0:
             meets[but] = False
         return np.flatnonzero(meets)
+
+    def by_overlap(self, low: F64, high: F64) -> NDArray[np.int64]:
+        """The same, those first that share most with the box."""
+        near = self.of(low, high)
+        shared = np.minimum(self.upper[:, near].T, high) - np.maximum(self.lower[:, near].T, low)
+        return near[np.argsort(-shared.prod(1), kind="stable")]
 
 
 class Whole:
@@ -64,18 +74,31 @@ class Whole:
     def holds(self, points: F64, margin: float, but: float = 0.0) -> bool:
         """Whether points (N, 3), `but` for a share of them, lie inside or at most `margin` metres outside, and all at
         most twice that."""
-        return self._beyond(points, margin, but * len(points)) and (not but or self._beyond(points, 2 * margin, 0))
+        near, most = self._near(points, margin), but * len(points)
+        if not most and len(points) > 2 * SOME and len(self._beyond(points[:: len(points) // SOME], near, margin, 0)):
+            return False
+        left = self._beyond(points, near, margin, most)
+        if len(left) and len(left) <= most:
+            left = self._beyond(left, self._near(points, 2 * margin), 2 * margin, 0)
+        return not len(left)
 
-    def _beyond(self, points: F64, margin: float, most: float) -> bool:
+    def _near(self, points: F64, margin: float) -> NDArray[np.int64]:
+        """The parts about those of the points that are above the ground, first those that are likely to hold most."""
+        above = points[points[:, 2] > self.ground + margin]
+        return (
+            self.near.by_overlap(above.min(0) - margin, above.max(0) + margin) if len(above) else np.zeros(0, np.int64)
+        )
+
+    def _beyond(self, points: F64, near: NDArray[np.int64], margin: float, most: float) -> F64:
+        """Those of the points (N, 3) that lie more than `margin` metres outside; where it is `most` or fewer of them,
+        some may not."""
         left = points[points[:, 2] > self.ground + margin]
-        if len(left) > most:
-            near = self.near.of(left.min(0) - margin, left.max(0) + margin)
-            while len(near) and len(left) > most:
-                some = 1 + AT_ONCE // len(left)
-                planes = [self.parts[k].planes for k in near[:some]]
-                left = left[(farthest(left, planes) > margin).all(1)]
-                near = near[some:]
-        return len(left) <= most
+        while len(near) and len(left) > most:
+            some = 1 + AT_ONCE // len(left)
+            planes = [self.parts[k].planes for k in near[:some]]
+            left = left[(farthest(left, planes) > margin).all(1)]
+            near = near[some:]
+        return left
 
     def holds_hull(self, part: Polytope, margin: float, *within: Polytope) -> bool:
         """Whether a part stands out of the shape by at most `margin` metres, but for FEW of the places on its surface.
@@ -116,14 +139,22 @@ def merged(parts: list[Polytope], whole: Whole, adds: float = ADDS) -> list[Poly
                 kept.append(found)
                 near.update(i, found)
                 changed = True
-                for j in near.of(found.lower - adds, found.upper + adds, but=i):
-                    other = out[j]
-                    if other is not None and found.contains(other.points, adds).all():
-                        out[j] = None
-                        near.update(int(j), None)
+                around = near.of(found.lower - adds, found.upper + adds, but=i).tolist()
+                for j in _held(found, {j: other for j in around if (other := out[j]) is not None}, adds):
+                    out[j] = None
+                    near.update(j, None)
     return [
         now if now is None or now is old else _cut_back(now, parts, adds) for now, old in zip(out, parts, strict=True)
     ]
+
+
+def _held(part: Polytope, others: Mapping[int, Polytope], margin: float) -> list[int]:
+    """Which of the others lie inside a part, or outside by at most `margin` metres."""
+    if not others:
+        return []
+    first = part.contains(np.array([other.points[0] for other in others.values()]), margin)  # most are refused by this
+    some = [k for k, near in zip(others, first, strict=True) if near]
+    return [k for k in some if part.contains(others[k].points, margin).all()]
 
 
 def _cut_back(part: Polytope, pieces: list[Polytope], most: float) -> Polytope:
@@ -132,7 +163,7 @@ def _cut_back(part: Polytope, pieces: list[Polytope], most: float) -> Polytope:
     from scipy.spatial import HalfspaceIntersection
 
     points, _, own = part.hull
-    within = [p for p in pieces if part.contains(p.points, most).all()]
+    within = [pieces[k] for k in _held(part, dict(enumerate(pieces)), most)]
     size = np.concatenate([areas(*p.hull[:2]) for p in within])
     planes = np.concatenate([p.hull[2] for p in within])[np.argsort(-size, kind="stable")]
     planes = planes[(points @ planes[:, :3].T + planes[:, 3]).max(0) <= 2 * most]
