@@ -46,12 +46,14 @@ class Rays:
     def cast(self, origins: F64, directions: F64) -> tuple[F64, NDArray[np.int64]]:
         """First hits of rays (..., 3): (...) distance in units of the direction's length, infinity for none, and the
         triangle, -1 for none."""
+        if not origins.size:  # Open3D may crash on nothing at all, here and below
+            return np.zeros(origins.shape[:-1]), np.zeros(origins.shape[:-1], np.int64)
         hit = self._scene.cast_rays(self._tensor(origins, directions))
         return hit["t_hit"].numpy().astype(np.float64), self._triangles(hit)
 
     def crossings(self, origins: F64, directions: F64) -> tuple[NDArray[np.int64], F64, NDArray[np.int64]]:
         """All hits of rays (N, 3), in no order: ray, distance and triangle, (M,) each."""
-        if not len(origins):  # Open3D crashes on no rays at all
+        if not len(origins):
             return np.zeros(0, np.int64), np.zeros(0), np.zeros(0, np.int64)
         hits = self._scene.list_intersections(self._tensor(origins, directions))
         ray, t = hits["ray_ids"].numpy().astype(np.int64), hits["t_hit"].numpy().astype(np.float64)
@@ -71,10 +73,14 @@ class Rays:
 
     def distance(self, points: F64) -> F64:
         """(...) metres from points (..., 3) to the mesh."""
+        if not points.size:
+            return np.zeros(points.shape[:-1])
         return np.asarray(self._scene.compute_distance(self._query(points)).numpy(), float)
 
     def nearest(self, points: F64) -> F64:
         """(..., 3) points of the mesh that are the nearest to points (..., 3)."""
+        if not points.size:
+            return points
         near = self._scene.compute_closest_points(self._query(points))["points"].numpy()
         return np.asarray(near, float) + self.centre
 

@@ -15,6 +15,7 @@ from realsim.export.contact.undersides import Walls, settle
 
 CELL = 0.005  # metres; of a mesh that is exact as fine as...
 FINEST = 0.0005  # metres; and...
+MOST_FINE = 1_000_000  # cells, unless they are of CELL or more; and...
 WITHIN = 4.0  # cells in its thinnest wall (a round post of 4 has the 12 that make a plane); at least...
 THROUGH = (
     3.0  # cells by which a hull may stand out where parts are made one, so that no thin wall is filled: glasses of
@@ -88,7 +89,9 @@ def terrain(mesh: TerrainMesh, ground_z: float, cell: float | None = None) -> Te
     """
     check_extent(mesh)
     if mesh.noise_m is None:  # made by hand: its long edges are exact
-        cell = cell or float(np.clip(_thinnest(mesh) / WITHIN, FINEST, CELL))
+        size = np.ptp(mesh.vertices[np.unique(mesh.triangles), :2], axis=0)
+        finest = max(FINEST, float(np.sqrt(size.prod() / MOST_FINE)))
+        cell = cell or float(np.clip(_thinnest(mesh) / WITHIN, finest, CELL))
     else:
         cell = max(cell or CELL, SHARE * mesh.resolution)
     grid = columns(mesh, ground_z, cell)
