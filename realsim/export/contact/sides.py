@@ -76,7 +76,7 @@ def side_figures(
 def free_side_figures(touch: SimTouch, reference: Reference, ground_z: float, noise: float = 0.0) -> dict[str, Any]:
     """Sides of parts that stand in free air, far from any surface: of a pillar under what floats, most of them.
 
-    Far is more than WITHIN and the `noise` (metres) that the surface itself has. Air is free in front of the nearest
+    Far is more than WITHIN and the `noise` (metres) that the surface itself has. Air is free but behind the nearest
     surface, and not where a solid reaches down from a surface that has no underside.
 
     Returns:
@@ -99,7 +99,7 @@ def free_side_figures(touch: SimTouch, reference: Reference, ground_z: float, no
     bare = touch.clearance(points + OUTSIDE * out, np.tile([1.0, 0, 0, 0], (len(points), 1))) > -BALL_RADIUS
     bare &= ~reference.buried(points - WITHIN * out)
     t, facing, _ = reference.cast(points, -reference.normals(points))
-    bare &= np.isfinite(t) & (facing < 0)
+    bare &= np.isinf(t) | (facing <= 0)  # of what is below an edge, the ray may miss that
     points, of = points[bare], part[face[bare]]
     if not len(points):
         return none
