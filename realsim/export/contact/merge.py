@@ -52,12 +52,6 @@ class Neighbours:
             meets[but] = False
         return np.flatnonzero(meets)
 
-    def by_overlap(self, low: F64, high: F64) -> NDArray[np.int64]:
-        """The same, those first that share most with the box."""
-        near = self.of(low, high)
-        shared = np.minimum(self.upper[:, near].T, high) - np.maximum(self.lower[:, near].T, low)
-        return near[np.argsort(-shared.prod(1), kind="stable")]
-
 
 class Whole:
     """What parts and the ground fill together."""
@@ -85,9 +79,12 @@ class Whole:
     def _near(self, points: F64, margin: float) -> NDArray[np.int64]:
         """The parts about those of the points that are above the ground, first those that are likely to hold most."""
         above = points[points[:, 2] > self.ground + margin]
-        return (
-            self.near.by_overlap(above.min(0) - margin, above.max(0) + margin) if len(above) else np.zeros(0, np.int64)
-        )
+        if not len(above):
+            return np.zeros(0, np.int64)
+        low, high = above.min(0) - margin, above.max(0) + margin
+        near = self.near.of(low, high)
+        shared = np.minimum(self.near.upper[:, near].T, high) - np.maximum(self.near.lower[:, near].T, low)
+        return near[np.argsort(-shared.prod(1), kind="stable")]
 
     def _beyond(self, points: F64, near: NDArray[np.int64], margin: float, most: float) -> F64:
         """Those of the points (N, 3) that lie more than `margin` metres outside; where it is `most` or fewer of them,
