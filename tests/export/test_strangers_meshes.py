@@ -306,7 +306,8 @@ def test_a_glass_of_thin_walls_stays_open() -> None:
 def test_a_large_mesh_of_thin_sheets_has_no_more_columns_than_time_allows() -> None:
     """A rack of sheet metal, 2.4 m wide, had four million: two minutes."""
     wall = trimesh.creation.box((2.4, 0.001, 0.3), trimesh.transformations.translation_matrix([0, 0, 0.15]))
-    rack = as_terrain(trimesh.util.concatenate([wall, wall.copy().apply_translation([0, 0.9, 0])]))
+    shelf = trimesh.creation.box((2.4, 0.8, 0.02), trimesh.transformations.translation_matrix([0, 0.45, 0.2]))
+    rack = as_terrain(trimesh.util.concatenate([wall, wall.copy().apply_translation([0, 0.9, 0]), shelf]))
     grid = terrain(rack, 0.0).grid
     assert 0.0005 < grid.cell < 0.002
     assert grid.top[0].size < 1_100_000
