@@ -142,7 +142,8 @@ def joints_above(model: Any, body: str) -> list[str]:
 
 def touching(model: Any, data: Any) -> set[tuple[str, ...]]:
     """Pairs of bodies in contact, each in the order of the alphabet."""
-    return {tuple(sorted(model.body(int(model.geom_bodyid[g])).name for g in c.geom)) for c in data.contact}
+    pairs = set(map(tuple, data.contact.geom.tolist()))
+    return {tuple(sorted(model.body(int(model.geom_bodyid[g])).name for g in pair)) for pair in pairs}
 
 
 def _mount(model: Any) -> DepthMount:

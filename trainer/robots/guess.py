@@ -158,12 +158,13 @@ def _feet_below_hips(model: Any, home: dict[str, float], feet: tuple[str, ...]) 
         if len(pitch) != 2:
             continue
         low, high = model.joint(pitch[0]).range
-        off = {}
+        off, joint, adr = {}, data.joint(pitch[0]), int(model.joint(pitch[0]).qposadr[0])
+        geoms = [g for g in range(model.ngeom) if model.body(foot).id == model.geom_bodyid[g]]
         for angle in np.linspace(max(low, -1.5), min(high, 1.5), 301) if low < high else ():
-            data = in_pose(model, home | {pitch[0]: float(angle)})
-            tips = [_centre(model, data, g) for g in range(model.ngeom) if model.body(foot).id == model.geom_bodyid[g]]
-            tip = min(tips, key=lambda x: float(x[2]))
-            off[abs(float(tip[0] - data.joint(pitch[0]).xanchor[0]))] = round(float(angle), 3)
+            data.qpos[adr] = angle
+            mujoco.mj_kinematics(model, data)
+            tip = min((_centre(model, data, g) for g in geoms), key=lambda x: float(x[2]))
+            off[abs(float(tip[0] - joint.xanchor[0]))] = round(float(angle), 3)
         home[pitch[0]] = off[min(off)] if off else home[pitch[0]]
     return home
 
