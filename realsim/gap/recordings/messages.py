@@ -64,11 +64,11 @@ class Collector:
         leaves: dict[str, Any] = {}
         texts: dict[str, tuple[str, ...]] = {}
         stamp = _walk(message, "", leaves, texts)
-        clocks = {k: float(leaves.pop(k)) for k in list(leaves) if is_clock(k) and np.isscalar(leaves[k])}
+        clocks = {k: float(leaves.pop(k)) for k in list(leaves) if is_clock(k) and isinstance(leaves[k], float)}
         if stamp:
             clocks["header"] = stamp + later
         labels = {name: found for name in leaves if (found := _labels(name, leaves[name], texts))}
-        widths = {name: 1 if np.isscalar(v) else len(v) for name, v in leaves.items()}
+        widths = {name: 1 if isinstance(v, float) else len(v) for name, v in leaves.items()}
         # A topic on which two drivers publish, each its own joints, is two streams.
         key = (tuple(labels.items()), tuple(widths.items()))
         columns = self._shapes.get(key)
@@ -77,7 +77,7 @@ class Collector:
             columns.values = {name: array("d") for name in leaves}
             columns.clocks = {name: array("d") for name in clocks}
         for name, value in leaves.items():
-            if np.isscalar(value):
+            if isinstance(value, float):
                 columns.values[name].append(value)
             else:
                 columns.values[name].extend(value)
@@ -209,7 +209,7 @@ def _walk_parts(items: Any, path: str, leaves: dict[str, Any], texts: dict[str, 
             _walk(item, "", found, {})
         parts.append(found)
     for name in parts[0]:
-        if all(name in p and np.isscalar(p[name]) for p in parts):
+        if all(name in p and isinstance(p[name], float) for p in parts):
             leaves[f"{path}.{name}"] = np.array([p[name] for p in parts])
         elif len(parts) == 1 and name in parts[0]:  # a trajectory of one point is a vector
             leaves[f"{path}.{name}"] = parts[0][name]
@@ -243,7 +243,7 @@ def _stamp(part: Any) -> float:
 
 def _labels(name: str, value: Any, texts: Mapping[str, tuple[str, ...]]) -> tuple[str, ...]:
     """The names of a field's columns: a list of names of the same length beside it or above it."""
-    if np.isscalar(value):
+    if isinstance(value, float):
         return ()
     place = name
     while place:
