@@ -6,6 +6,7 @@ convention that was really used, where the one that was assumed does not fit.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from realsim.capture.arkit import OPENGL
 from realsim.capture.units import step_of
 from realsim.core.errors import CaptureError, PoseError
 from realsim.core.geometry import invert_T
-from realsim.core.types import F32, F64, Frame, FrameSet, Intrinsics
+from realsim.core.types import F32, F64, Frame, FrameSet
 
 TOLERANCE = 0.04
 """Relative difference of two depths that still agree: sensor noise and bias, interpolation, rounding."""
@@ -114,11 +115,18 @@ def agreement(frames: Sequence[Frame]) -> Agreement | None:
     depths = {k: frames[k].depth() for k in sorted({k for pair in pairs for k in pair})}
     poses = {k: np.asarray(frames[k].T_world_camera) for k in depths}
 
+    @cache
+    def points(k: int, factor: float) -> F64:
+        """(N, 3) some of what a frame shows, its depth times a factor."""
+        step = max(int(np.sqrt(depths[k].size / PIXELS)), 1)
+        z = depths[k][::step, ::step] * factor
+        return (frames[k].intrinsics.rays()[::step, ::step] * z[..., None])[z > 0].astype(np.float64)
+
     def share(reading: Mapping[int, F64], factor: float = 1.0) -> tuple[float, int]:
         agree = compared = 0
         for i, j in pairs:
             T_ji = invert_T(reading[j]) @ reading[i]
-            errors = _differences(depths[i] * factor, frames[i].intrinsics, depths[j] * factor, frames[j], T_ji)
+            errors = _differences(points(i, factor), depths[j], frames[j], T_ji, factor)
             agree, compared = agree + int((errors < TOLERANCE).sum()), compared + len(errors)
         return (agree / compared if compared >= ENOUGH else 0.0), compared
 
@@ -142,17 +150,14 @@ def _pairs(count: int) -> list[tuple[int, int]]:
     return sorted((i, j) for i, j in pairs if i < j)
 
 
-def _differences(depth_i: F32, camera_i: Intrinsics, depth_j: F32, frame_j: Frame, T_ji: F64) -> F64:
+def _differences(points: F64, depth_j: F32, frame_j: Frame, T_ji: F64, factor: float) -> F64:
     """Relative differences of frame i's points, seen from j, to j's own depth where they land in its image.
 
     Points that land behind what j sees are hidden there, not wrong; they are left out.
     """
-    step = max(int(np.sqrt(depth_i.size / PIXELS)), 1)
-    z = depth_i[::step, ::step]
-    points = (camera_i.rays()[::step, ::step] * z[..., None])[z > 0].astype(np.float64)
     seen = points @ T_ji[:3, :3].T + T_ji[:3, 3]
     v, u, inside = frame_j.intrinsics.pixels(seen, near=0.05)
-    found = depth_j[v[inside], u[inside]].astype(np.float64)
+    found = (depth_j[v[inside], u[inside]] * factor).astype(np.float64)
     expected = seen[inside, 2][found > 0]
     found = found[found > 0]
     relative = (expected - found) / found
