@@ -111,8 +111,8 @@ def run(name: str, options: Options) -> None:
         won = {kind: counts(file, folder, setting, options) for kind, file in (("base", base), ("tuned", tuned))}
         identity = (options.robot, fingerprint(base), name, options.minutes, setting, options.seed)
         row: Row = dict(zip(KEY, identity, strict=True)) | {"trials": options.trials}
-        row |= {kind: c["success"] for kind, c in won.items()} | {"causes": dict(won["tuned"])}
-        print(Store(options.store, KEY).add(row | {"iterations": result.get("iterations")}), flush=True)
+        row |= {f"won_{kind}": c["success"] for kind, c in won.items()} | {"causes": dict(won["tuned"])}
+        print(Store(options.store, KEY).add(row | {key: result[key] for key in ("iterations", "helped") if key in result}), flush=True)
 
 
 def counts(file: Path, folder: Path, setting: str, options: Options) -> Any:
