@@ -3,8 +3,9 @@
     python benchmarks/training/captures.py prepare           CPU: scenes, and the exact courses from the captures' truth
     python benchmarks/training/captures.py run --minutes 1   GPU: `realsim finetune` on each scene, then trials
 
-The captures of REALSIM_SHARED/captures come from a renderer and course generator that are not ours; no base saw them. The exact
-course is each true part's hull. A row has the trials of the base and of what `finetune` delivers, out of as many.
+The captures of REALSIM_SHARED/captures come from a renderer and course generator that are not ours; no base saw them.
+The exact course is each true part's hull. A row has the trials of the base and of what `finetune` delivers, out of as
+many.
 """
 
 import json
@@ -112,7 +113,12 @@ def run(name: str, options: Options) -> None:
         identity = (options.robot, fingerprint(base), name, options.minutes, setting, options.seed)
         row: Row = dict(zip(KEY, identity, strict=True)) | {"trials": options.trials}
         row |= {f"won_{kind}": c["success"] for kind, c in won.items()} | {"causes": dict(won["tuned"])}
-        print(Store(options.store, KEY).add(row | {key: result[key] for key in ("iterations", "helped") if key in result}), flush=True)
+        print(
+            Store(options.store, KEY).add(
+                row | {key: result[key] for key in ("iterations", "helped") if key in result}
+            ),
+            flush=True,
+        )
 
 
 def counts(file: Path, folder: Path, setting: str, options: Options) -> Any:

@@ -31,13 +31,13 @@ def test_points_are_gain_times_depth_along_the_rays() -> None:
 
 
 def test_flying_pixels_at_an_edge_are_masked_and_the_faces_are_not() -> None:
-    depth = plane(np.array([0, 0, 1.0]), 2.0)
+    depth = plane(np.array([0, 0, 1.0]), 3.0)
     depth[:, :160] = 1.2
-    depth[:, 160] = 1.6  # blended by the sensor: in the air
+    depth[:, 160] = 1.8  # blended by the sensor: in the air
     mask = view_of(depth).mask
     assert not mask[:, 160].any()
-    assert mask[10:-10, 10:150].all()
-    assert mask[10:-10, 170:-10].all()
+    assert mask[10:-10, 10:158].all()  # up to the two pixels beside the step: a top ends where it ends
+    assert mask[10:-10, 163:-10].all()
 
 
 def test_grazing_surfaces_are_masked_and_slanted_ones_are_not() -> None:

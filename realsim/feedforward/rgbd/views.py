@@ -58,6 +58,10 @@ def _slant(depth: F32, camera: Intrinsics) -> tuple[F32, Bool]:
     length = np.sqrt(nx**2 + ny**2 + nz**2) * ray_lengths
     cosine = np.abs(q) / np.maximum(length, 1e-9)
     jump = _jumps(q)
+    # The windows reach three pixels: so near a step the slope is the step's, and the surface's own is beside.
+    across = cv2.dilate(jump.astype(np.uint8), np.ones((7, 7), np.uint8)) > 0
+    beside = cv2.dilate(np.where(across, 0, cosine), np.ones((9, 9), np.uint8))
+    cosine = np.where(across, np.maximum(cosine, beside), cosine)
     return np.where(depth > 0, cosine, 0).astype(np.float32), jump
 
 
