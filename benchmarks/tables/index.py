@@ -6,7 +6,7 @@ from typing import Any
 from benchmarks.diagnosis import sweep as gap_sweep
 from benchmarks.diagnosis import unstable as gap_unstable
 from benchmarks.tables.stored import Row, stored
-from benchmarks.training import base_policy, ladder, parkour, pushes, trials, ttt
+from benchmarks.training import base_policy, captures, ladder, parkour, pushes, trials, ttt
 
 INDEX = (
     (
@@ -103,6 +103,11 @@ INDEX = (
         "python -m benchmarks.diagnosis.footholds",
     ),
     (
+        "From frames of others to a policy, judged on the true course",
+        "tuned_captures",
+        "python benchmarks/training/captures.py run",
+    ),
+    (
         "From frames to a tuned policy, by the clock",
         "parkour",
         "python benchmarks/training/parkour.py --part scene, policy",
@@ -147,6 +152,7 @@ KEYS = {
     "trials": trials.KEY,
     "ttt": ttt.KEY,
     "ttt_worlds": (*ttt.KEY, "worlds"),
+    "tuned_captures": captures.KEY,
     "loops": ("place",),
     "parkour": parkour.KEY,
 }

@@ -51,6 +51,7 @@ TABLES: dict[str, Callable[[], list[str]]] = {
     "tests": policies.tests,
     "all tests at once": policies.all_at_once,
     "in a minute": policies.in_a_minute,
+    "tuned captures": policies.tuned_captures,
     "worlds": policies.by_worlds,
     "help": policies.helped,
     "trials": policies.trials_by_rule,

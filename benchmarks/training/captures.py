@@ -4,8 +4,8 @@
     python benchmarks/training/captures.py run --minutes 1   GPU: `realsim finetune` on each scene, then trials
 
 The captures of REALSIM_SHARED/captures come from a renderer and course generator that are not ours; no base saw them.
-The exact course is each true part's hull. A row has the trials of the base and of what `finetune` delivers, out of as
-many.
+The exact course is each true part's hull. A row names the scene by its mesh, and has the trials that the base and what
+`finetune` delivers won.
 """
 
 import json
@@ -34,7 +34,7 @@ from trainer.terrain.base import Platform, Terrain
 
 ROOT = Path(__file__).resolve().parents[2]
 SHARED = Path(os.environ.get("REALSIM_SHARED", ROOT.parent / "shared"))
-KEY = ("robot", "base", "capture", "minutes", "setting", "seed")
+KEY = ("robot", "base", "capture", "scene", "minutes", "setting", "seed")
 
 
 @dataclass(frozen=True)
@@ -94,31 +94,17 @@ def run(name: str, options: Options) -> None:
     """Fine-tune on the scene, and count the trials that the base and what is delivered win on the exact course."""
     folder, base = options.work / name, base_of(options.robot)
     tuned = folder / "tuned"
-    _realsim(
-        *("finetune", folder / "scene", "--policy", base, "--out", tuned, "--overwrite", "--device", options.device),
-        *(
-            "--minutes",
-            options.minutes,
-            "--worlds",
-            options.worlds,
-            "--seed",
-            options.seed,
-            "--final-trials",
-            options.trials,
-        ),
-    )
-    result = read_json(tuned / "result.json")
+    sizes = ("--minutes", options.minutes, "--worlds", options.worlds, "--final-trials", options.trials)
+    where = ("--policy", base, "--out", tuned, "--overwrite", "--device", options.device, "--seed", options.seed)
+    _realsim("finetune", folder / "scene", *where, *sizes)
+    result, scene = read_json(tuned / "result.json"), fingerprint(folder / "scene" / "mesh.ply")
     for setting in options.settings:
         won = {kind: counts(file, folder, setting, options) for kind, file in (("base", base), ("tuned", tuned))}
-        identity = (options.robot, fingerprint(base), name, options.minutes, setting, options.seed)
+        identity = (options.robot, fingerprint(base), name, scene, options.minutes, setting, options.seed)
         row: Row = dict(zip(KEY, identity, strict=True)) | {"trials": options.trials}
         row |= {f"won_{kind}": c["success"] for kind, c in won.items()} | {"causes": dict(won["tuned"])}
-        print(
-            Store(options.store, KEY).add(
-                row | {key: result[key] for key in ("iterations", "helped") if key in result}
-            ),
-            flush=True,
-        )
+        row |= {"iterations": result["result"]["iterations"], "helped": result["helped"]}
+        print(Store(options.store, KEY).add(row), flush=True)
 
 
 def counts(file: Path, folder: Path, setting: str, options: Options) -> Any:
