@@ -36,6 +36,8 @@ class Option:
     group: str
     """`general`, `scene`, ...: the part of the configuration that it belongs to; empty for those of the command."""
     required: bool
+    several: bool
+    """Whether it takes any number of values."""
 
 
 def options_of(function: Callable[..., Any]) -> tuple[str, list[Option]]:
@@ -52,8 +54,8 @@ def options_of(function: Callable[..., Any]) -> tuple[str, list[Option]]:
             if action.nargs == 0 and not action.default:
                 names = names[:1]  # a switch that is off needs no name that turns it off
             path = action.dest.replace("-", "_")
-            text, needed = action.help or "", action.required
-            found.append(Option(names, path, _value(action), _help(text), _group(path, bool(names)), needed))
+            text, needed, several = action.help or "", action.required, action.nargs in ("*", "+")
+            found.append(Option(names, path, _value(action), _help(text), _group(path, bool(names)), needed, several))
     return parser.description or "", found
 
 
@@ -91,6 +93,8 @@ def parse(
     import tyro
     import tyro._errors as events
 
+    arguments = _together(function, arguments)
+
     @functools.wraps(function)
     def later(*args: Any, **given: Any) -> Any:
         return functools.partial(function, *args, **given)
@@ -111,6 +115,24 @@ def parse(
             later, prog=f"realsim {name}", args=list(arguments), config=(tyro.conf.OmitArgPrefixes,)
         )
     return call
+
+
+def _together(function: Callable[..., Any], arguments: Sequence[str]) -> list[str]:
+    """`--use A --use B` as `--use A B`: of an option that takes several values tyro would keep the last alone."""
+    names = [a for a in arguments if a.startswith("--")]
+    if len(set(names)) == len(names):
+        return list(arguments)
+    several = {name for option in options_of(function)[1] if option.several for name in option.names}
+    given: dict[str, list[str]] = {}
+    rest: list[str] = []
+    into = rest
+    for argument in arguments:
+        if argument in several:
+            into = given.setdefault(argument, [])
+        else:
+            into = rest if argument.startswith("--") else into
+            into.append(argument)
+    return [*rest, *(part for name, values in given.items() for part in (name, *values))]
 
 
 def _usage_error(event: Any, function: Callable[..., Any], name: str, arguments: Sequence[str]) -> UsageError:

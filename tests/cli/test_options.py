@@ -76,6 +76,14 @@ def test_defaults_may_be_other_ones() -> None:
     assert call() == (Path("a"), Config(Inner(3.0), 8), (1.0, 2.0), "mm", False, True)
 
 
+def test_an_option_of_several_values_may_be_given_several_times() -> None:
+    def several(source: Annotated[Path, tyro.conf.Positional], use: tuple[str, ...] = (), seed: int = 0) -> object:
+        return source, use, seed
+
+    for arguments in ("a --use x --seed 2 --use y z", "a --seed 1 --use x y --use z --seed 2"):
+        assert parse(several, "x", arguments.split())() == (Path("a"), ("x", "y", "z"), 2)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message", "found"),
     [
