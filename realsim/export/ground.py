@@ -49,7 +49,7 @@ def ground_level(mesh: TerrainMesh) -> GroundLevel:
         return GroundLevel(level, False, f"at z = {level:.3f} m, the mesh's lowest level")
     top, bottom, cell = _rim(mesh)
     at, below = np.abs(bottom - level) <= LEVEL, bottom < level - LEVEL
-    if at.sum() > below.sum() and at.mean() > AROUND:
+    if at.sum() > below.sum() and at.mean() > AROUND and not _on_legs(mesh, level, area):
         return GroundLevel(level, False, f"at z = {level:.3f} m, the floor of the mesh")
     sides = float(np.clip(level - bottom, 0, None).sum()) * cell
     carries = float(mesh.vertices[mesh.triangles][..., 2].max()) > level + LEVEL
@@ -118,6 +118,24 @@ def _lowest_level(mesh: TerrainMesh) -> tuple[float, float, float]:
     first = int(wide[0])
     near = bins == first
     return float(np.average(z[near], weights=area[level][near])), float(sums[first]), float(sums[first] / sums.sum())
+
+
+def _on_legs(mesh: TerrainMesh, level: float, area: float) -> bool:
+    """Whether a level surface of that area (m^2) is carried by what stands below it: legs that do not reach its rim.
+    The walls of a pit are below a floor too, and open above; what reaches through a sheet of floor meets its back."""
+    from realsim.export.contact.probe import Reference
+
+    corners, cross = mesh.vertices[mesh.triangles], across(mesh.vertices, mesh.triangles)
+    double = np.linalg.norm(cross, axis=1)
+    middle = corners.mean(1)
+    leg = (np.abs(cross[:, 2]) < 0.5 * double) & (middle[:, 2] < level - DEEP)
+    if not leg.any():
+        return False
+    beside = middle[leg] + LEVEL * cross[leg] / double[leg, None]
+    up = np.tile([0.0, 0.0, 1.0], (len(beside), 1))
+    above, facing, _ = Reference(mesh.vertices, mesh.triangles).cast(beside, up)
+    under = (facing < 0) & (beside[:, 2] + above < level + LEVEL)
+    return bool(double[leg][under].sum() / 2 > SHARE * area)
 
 
 def _rim(mesh: TerrainMesh) -> tuple[F64, F64, float]:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.core.meshes import connected, faces_by_place
+from realsim.core.meshes import connected, edges_of, faces_by_place
 from realsim.core.types import F64
 
 I32 = NDArray[np.int32]
@@ -58,5 +58,11 @@ def _solid(vertices: F64, triangles: I32) -> Any:
     if len(triangles) < 4:
         return None
     places, faces = np.unique(np.round(vertices[triangles], 7).reshape(-1, 3), axis=0, return_inverse=True)
-    solid = Manifold(Mesh64(places, faces.reshape(-1, 3).astype(np.uint64)))
+    faces = faces.reshape(-1, 3)
+    edges = edges_of(faces)
+    ways = np.sign(edges.runs[:, 1] - edges.runs[:, 0])
+    # Of some that do not close, Manifold crashes.
+    if not ways.all() or np.add.reduceat(ways[edges.order], edges.first).any():
+        return None
+    solid = Manifold(Mesh64(places, faces.astype(np.uint64)))
     return None if solid.is_empty() or solid.volume() <= 0 else solid

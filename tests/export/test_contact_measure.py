@@ -63,6 +63,14 @@ def test_reference_knows_inside_from_outside() -> None:
     np.testing.assert_allclose(ref.top(points[:, :2]), [0.2, 0.2, 0, 0], atol=1e-5)
 
 
+def test_of_no_points_and_no_rays_nothing_is_known() -> None:
+    surface, none = reference(with_floor(block(0, 0, 0.2, 0.2, 0.2))), np.zeros((0, 3))
+    assert surface.distance(none).shape == (0,)
+    assert surface.normals(none).shape == (0, 3)
+    assert [len(found) for found in surface.cast(none, none)] == [0, 0, 0]
+    assert surface.buried(none).shape == (0,)
+
+
 def test_inside_of_overlapping_solids_is_inside() -> None:
     """A beam sunk into the post that carries it: its underside lies within the post."""
     post, beam = block(0, 0, 0.2, 0.2, 0.2), block(0, 0, 0.8, 0.2, 0.3, bottom=0.196)

@@ -73,6 +73,13 @@ def test_a_box_without_a_bottom_too() -> None:
     assert ground_level(mend(mesh.vertices, open_below).terrain).z == pytest.approx(0.0, abs=1e-6)
 
 
+def test_a_table_whose_legs_do_not_reach_the_rim_of_its_thin_top_stands_on_them() -> None:
+    """Its rim lies at one level, as that of a floor does: all below it was lost."""
+    table = on_zero((0, 0, 1.4, 0.9, 0.64, 0.632), *legs(0.635)).to_mesh64()
+    made = mend(np.asarray(table.vert_properties)[:, :3], np.asarray(table.tri_verts)).terrain
+    assert ground_level(made).z == pytest.approx(0.0, abs=0.001)
+
+
 @pytest.mark.parametrize("name", TERRAINS)
 def test_a_sheet_of_floor_is_the_ground_though_solids_reach_below(name: str) -> None:
     assert ground_level(terrain(name)).z == pytest.approx(0.0, abs=1e-6)

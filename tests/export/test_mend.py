@@ -12,6 +12,7 @@ from realsim.export import contact_mesh
 from realsim.export.config import SceneConfig
 from realsim.export.ground import ground_level
 from realsim.export.mend import mend, read_mesh
+from realsim.export.unite import united
 from realsim.export.winding import turn_stray
 from tests.truths.solids import block, terrain, with_floor
 
@@ -217,6 +218,14 @@ def test_a_self_intersecting_mesh_is_one_solid(tmp_path: Path) -> None:
     assert files.contact["p95_mm"] < 10
     assert files.contact["leaks"] == 0
     assert {"scene.xml", "contact.json", "contact.png", "mesh.ply"} <= {p.name for p in out.iterdir()}
+
+
+def test_an_open_piece_is_not_made_one_with_solids() -> None:
+    """Of a few triangles that close nothing, the library for solids ended the process."""
+    turn = np.linspace(0, np.pi, 10)
+    points = np.column_stack([np.cos(turn), np.sin(turn), 0.1 * turn])
+    faces = np.column_stack([np.zeros(9, int), np.arange(1, 10), np.arange(2, 11)]).astype(np.int32)
+    assert united(np.vstack([np.zeros((1, 3)), points]), faces)[2] == 0
 
 
 def test_what_lies_inside_another_solid_is_no_surface() -> None:
