@@ -112,7 +112,7 @@ PARTS = ("scene.xml", "report.html", *(name for name in MARKS if "/" not in name
 """Files that stand for the folder that they are in."""
 ENDINGS = {
     "bag": ".mcap .bag .db3",
-    "recording": ".csv .parquet .ulg .ulog .rrd .jsonl .npz .tsv .log",
+    "recording": ".csv .parquet .ulg .ulog .rrd .jsonl .npz .tsv .log .lvm",
     "scan": ".ply .pcd .las .laz .xyz .pts",
     "mesh": ".stl .obj .glb .gltf .off",
     "capture": ".r3d",
@@ -236,7 +236,7 @@ TAKES = {
     **dict.fromkeys(("scene", "scenes"), ("scene", "contact scene")),
     **dict.fromkeys(("case", "cases", "since"), ("case", "experiment")),
     "source": ("case", "diagnosis"),
-    "recording": ("recording", "bag"),
+    "recording": ("recording", "bag", "text"),
     **dict.fromkeys(("model", "init"), ("model",)),
     "file": ("network",),
     "mjcf": ("model", "scene", "contact scene"),

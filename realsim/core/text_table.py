@@ -38,6 +38,7 @@ _BLANKS = re.compile(r"(?:^#)?[ ]+")
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 _DURATION = re.compile(r"([-+]?\d+(?:[.,]\d+)?(?:[eE][-+]?\d+)?) (sec|s|ms|min|hr)")
 """As MATLAB writes the times of a timetable."""
+_END_OF_HEADER = re.compile("end[_ ]*(of[_ ]*)?header", re.IGNORECASE)
 _SECONDS = {"sec": 1.0, "s": 1.0, "ms": 1e-3, "min": 60.0, "hr": 3600.0}
 _MOMENT = re.compile(r"(?:(\d{4}-\d\d-\d\d)[T ])?(\d{1,2}):(\d\d):(\d\d(?:[.,]\d+)?)(?:Z|[+-]\d\d:?\d\d)?")
 
@@ -134,6 +135,10 @@ def first_lines(path: Path) -> list[str]:
 
 def begin(lines: Sequence[str]) -> tuple[str, int]:
     """(what parts the cells, the first line of numbers); the number of lines where none is."""
+    marks = [k for k, line in enumerate(lines) if _END_OF_HEADER.search(line)]
+    if marks:
+        delimiter, first = begin(lines[marks[-1] + 1 :])
+        return delimiter, marks[-1] + 1 + first
     found, filled = [], [line for line in lines if line.strip()]
     for k, line in enumerate(lines):
         for delimiter in (*sorted(",;\t", key=line.count, reverse=True), " "):
@@ -302,6 +307,8 @@ def _header(
     """Names of the columns from the lines above the numbers of as many cells: the last, with a line of units; of
     several levels (`q,q,tau` above `hip,knee,hip`) all that it takes to tell the columns apart."""
     rows = [_split(line.lstrip("# "), delimiter) for line in above]
+    # LabVIEW heads a last column of comments, which most rows do not have.
+    rows = [row[:-1] if len(row) == width + 1 and row[-1].strip().lower() in ("", "comment") else row for row in rows]
     rows = [[c.strip() for c in row] for row in rows if len(row) == width or not width]
     said = [{c.partition(":")[0].lower() if ":" in c else "" for c in row if c} for row in rows]
     # `Unit: deg` under each name, as MATLAB's Simulation Data Inspector exports them, beside such rows of other facts

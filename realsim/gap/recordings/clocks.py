@@ -5,7 +5,9 @@ the message was received. Where a stamp runs on another clock than the receiver,
 straight line through the messages of least delay; what a message took on its way only adds to that.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -14,8 +16,12 @@ from realsim.core.types import F64
 from realsim.gap.recordings.jumps import JUMP, own_clocks, shifts
 from realsim.gap.recordings.names import seconds_of
 from realsim.gap.recordings.recording import Recording, Stream, planned
-from realsim.gap.recordings.vocabulary import TIMES
+from realsim.gap.recordings.vocabulary import TIMES, plain
 
+_RATES = {"hz", "fps", "rate", "freq", "frequency"}
+_STEPS = {"dt", "ts", "timestep", "period"}
+_OF_SAMPLES = {"step", "control", "action", "policy", "sample", "sampling", "log", "logging", "record", "data", "loop"}
+"""Words of a rate, of the s between two samples, and of what it is the rate of: a simulator's or a camera's is not."""
 SAME_CLOCK = 0.5
 """s of offset up to which two clocks may be one and the offset the time on the way."""
 
@@ -63,11 +69,10 @@ def _of_stream(recording: Recording, stream: Stream) -> Clocked:
                        tuple(warnings))  # fmt: skip
     if receive is not None:
         return Clocked(receive, "receive", (*said, "time is when messages were received"), tuple(warnings))
-    rate = recording.facts.get("fps") or recording.facts.get("rate")
-    if isinstance(rate, (int, float)) and rate > 0:
-        return Clocked(
-            np.arange(stream.count) / float(rate), "rows", (f"no clock: {rate:g} samples per second are declared",)
-        )
+    rate, name = declared_rate(recording.facts)
+    if rate:
+        text = f"no clock: {rate:g} samples per second are declared ({name})"
+        return Clocked(np.arange(stream.count) / rate, "rows", (text,))
     raise GapError(
         f"{stream.name or recording.name} has no time",
         file=recording.path,
@@ -78,6 +83,22 @@ def _of_stream(recording: Recording, stream: Stream) -> Clocked:
         hint=f"name its column: realsim log {recording.path} --use time=COLUMN; or, of even samples, give "
         "their rate in Hz: --rate 100",
     )
+
+
+def declared_rate(facts: Mapping[str, Any]) -> tuple[float, str]:
+    """(Hz, the fact that says so) of samples without a clock; 0 where none does, or several disagree."""
+    found: dict[str, float] = {}
+    for name, value in facts.items():
+        said = {*plain(name.rpartition(".")[2]).split("_")}
+        if not isinstance(value, (int, float)) or not value > 0:
+            continue
+        if name == "rate":  # of the user
+            return float(value), name
+        if said & (_RATES | _STEPS) and said <= _OF_SAMPLES | _RATES | _STEPS:
+            found[name] = float(value) if said & _RATES else 1 / float(value)
+    own = {n: hz for n, hz in found.items() if set(plain(n.rpartition(".")[2]).split("_")) & _OF_SAMPLES} or found
+    agree = bool(own) and max(own.values()) < 1.01 * min(own.values())
+    return (next(iter(own.values())), next(iter(own))) if agree else (0.0, "")
 
 
 def _unit_by(raw: F64, receive: F64) -> tuple[F64, str]:

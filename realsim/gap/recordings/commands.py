@@ -271,7 +271,7 @@ def _order(
 
 def _measured_torque(e: Evidence) -> None:
     """Torque motors and no command in the log: what was measured is what drove the joints."""
-    torque(e)
+    torque(e, unnamed=True)
     found = e.proposal.assignments.get("joint_torque")
     if found is None or e.target is None:
         return

@@ -34,6 +34,8 @@ class Evidence:
     proposal: Proposal
     recordings: Sequence[Recording] = ()
     """All runs, of which `recording` is one."""
+    unordered: bool = False
+    """Nothing settles which of the unnamed columns of the positions is which joint."""
 
     def of(self, source: Candidate) -> tuple[F64, Field]:
         """(time, field) of a candidate, in the order of time."""
@@ -88,10 +90,13 @@ class Evidence:
     ) -> Assignment:  # fmt: skip
         """Enter an assignment into the proposal."""
         n = len(columns)
+        named = any(text.startswith("its columns name") for text in evidence)
+        if self.unordered and role in ("command", "joint_vel", "joint_torque") and not named:
+            evidence, doubtful = [*evidence, "in the positions' order, which is in doubt"], True
         found = Assignment(
             role, source, tuple(columns), tuple(targets), tuple(np.broadcast_to(scale, n).astype(float).tolist()),
-            tuple(np.broadcast_to(offset, n).astype(float).tolist()), unit, tuple(e for e in evidence if e), doubtful,
-            threshold,
+            tuple(np.broadcast_to(offset, n).astype(float).tolist()), unit,
+            tuple(e for e in evidence if e not in ("", "by ")), doubtful, threshold,
         )  # fmt: skip
         self.proposal.assignments[role] = found
         return found

@@ -18,14 +18,16 @@ from realsim.gap.recordings.depth import choose, is_frames
 from realsim.gap.recordings.evidence import MOST_RUNS, Evidence
 from realsim.gap.recordings.model import Target
 from realsim.gap.recordings.names import meaning
-from realsim.gap.recordings.pairing import blocks
+from realsim.gap.recordings.pairing import LEADS, MOST_COLUMNS, blocks, leads
 from realsim.gap.recordings.proposal import Candidate, Proposal
-from realsim.gap.recordings.recording import Recording, Stream
+from realsim.gap.recordings.recording import Field, Recording, Stream
 from realsim.gap.recordings.signals import follows
 from realsim.gap.recordings.world import World
 
 MOVES = 1e-3
 """rad of spread from which a joint moves."""
+LETTERS = {"r": "target position", "y": "measured position", "u": "control torque"}
+"""Reference, output and input of a plant in textbooks of control, where y and u stand side by side."""
 FOLLOWS = 0.7
 """Correlation below which a joint does not follow its command."""
 
@@ -124,24 +126,42 @@ def _candidates(recording: Recording) -> list[Candidate]:
     found = []
     for stream in (s for s in recording.streams if not is_frames(s)):
         for name, field in stream.fields.items():
-            role, unit, why = meaning(stream.name, stream.type, name)
+            letter = LETTERS.get(name) if {"y", "u"} <= set(stream.fields) else None
+            role, unit, why = meaning(stream.name, stream.type, letter or name)
+            why = f"the letter {name!r} of control engineering" if letter else why
             found.append(Candidate(stream.name, name, role, field.unit or unit, why))
     return found
 
 
 def _by_values(recording: Recording, target: Target | None, uses: Mapping[str, overrides.Use]) -> list[str]:
     """`--use` texts for a table in which no name tells positions, from what its columns do."""
-    named = any(c.role in ("joint_pos", "command.position") for c in _candidates(recording))
-    if target is None or not target.joints or named or "joint_pos" in uses or len(recording.streams) != 1:
+    role_of = {c.member: c.role for c in _candidates(recording)}
+    named = {r.partition(".")[0] for r in role_of.values()} | set(uses)
+    if target is None or not target.joints or "joint_pos" in named or len(recording.streams) != 1:
         return []
-    stream = recording.streams[0]
-    columns = [(n, f.values[:, k]) for f in stream.fields.values() for k, n in enumerate(f.columns)]
-    if len(columns) < 2 * len(target.joints):
+    stream, width = recording.streams[0], len(target.joints)
+    open_ = {n: f for n, f in stream.fields.items() if role_of.get(n) in ("", "joint_vel")}
+    columns = [(name, f.values[:, k]) for n, f in open_.items() for k, name in enumerate(_columns(n, f))]
+    if not columns:
         return []
     time = clocked(recording)[stream.name].time
-    found = blocks(time, np.stack([v for _, v in columns], axis=1), len(target.joints))
-    names = [n for n, _ in columns]
-    return [f"{role}={','.join(names[k : k + len(target.joints)])}" for role, k in found.items()]
+    values = np.stack([v for _, v in columns[:MOST_COLUMNS]], axis=1)
+    found = blocks(time, values, width)
+    asked = [stream.fields[n] for n, r in role_of.items() if r in ("command", "command.position")]
+    for field in (f for f in asked if f.width == width and "joint_pos" not in found):  # positions follow their command
+        ways = {k: leads(time, field.values, values[:, k : k + width]) for k in range(values.shape[1] - width + 1)}
+        best = max(ways, key=lambda k: ways[k], default=-1)
+        found |= {"joint_pos": best} if best >= 0 and ways[best] > LEADS else {}
+    texts = {role: ",".join(n for n, _ in columns[k : k + width]) for role, k in found.items() if role not in named}
+    whole = {",".join(_columns(n, f)): n for n, f in open_.items()}
+    return [f"{role}={whole.get(text, text)}" for role, text in texts.items()]
+
+
+def _columns(name: str, field: Field) -> list[str]:
+    """How each column of a field is named in `--use`."""
+    if len(field.columns) == field.width:
+        return list(field.columns)
+    return [f"{name}[{k}]" for k in range(field.width)]
 
 
 def _said_about_clocks(proposal: Proposal, times: Mapping[str, Clocked], frames: set[str]) -> None:
@@ -208,12 +228,11 @@ def _why_not(e: Evidence, role: str) -> str:
 
 def _example(proposal: Proposal) -> str:
     """How a field is named in this recording."""
-    for stream in proposal.recordings[0].streams:
-        for name, field in stream.fields.items():
-            if field.columns:
-                return '"COLUMN,COLUMN,..." with names of columns'
-            return f"STREAM:FIELD, as {_label(stream, name)}"
-    return "STREAM:FIELD"
+    first = proposal.recordings[0].streams[0]
+    if not any(f.columns for f in first.fields.values()):
+        return f"STREAM:FIELD, as {_label(first, next(iter(first.fields)))}"
+    names = list(dict.fromkeys(c for n, f in first.fields.items() for c in _columns(n, f)))
+    return f'"COLUMN,COLUMN,..." of {", ".join(names if len(names) < 8 else [*names[:3], "...", names[-1]])}'
 
 
 def _label(stream: Stream, name: str) -> str:

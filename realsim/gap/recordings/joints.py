@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,9 +10,10 @@ import numpy as np
 from realsim.core.statistics import alike
 from realsim.core.types import F64
 from realsim.gap.case.units import ANGLE, NEAR, TORQUE, TURNING, factor, nearest_unit, travelled
-from realsim.gap.recordings.evidence import Evidence, two_robots
-from realsim.gap.recordings.model import MODELS_ORDER, Target
-from realsim.gap.recordings.names import is_electric, known_type, match_joints, rawness
+from realsim.gap.recordings.evidence import SAME, Evidence, two_robots
+from realsim.gap.recordings.model import ALPHABETICAL, MODELS_ORDER, Target
+from realsim.gap.recordings.names import is_electric, is_other, known_type, match_joints, rawness
+from realsim.gap.recordings.pairing import ALIKE, PLAIN, agreement, pair
 from realsim.gap.recordings.proposal import Candidate
 from realsim.gap.recordings.recording import Field
 from realsim.gap.recordings.signals import at, smooth_derivatives
@@ -25,8 +27,8 @@ MARGIN = 0.05
 """rad or m beyond its range at which a joint may still be read."""
 SURELY = 0.99
 """Share of the samples within the ranges, read as turns, from which a missing unit is in doubt. Set by hand."""
-IN_RANGE = 0.5
-"""Share of the samples within the joints' ranges below which positions are in doubt."""
+IN_RANGE = 0.9
+"""Share of a joint's samples within its range below which positions are in doubt. Set by hand."""
 CLEAR = 0.25
 """Difference of two hypotheses' agreement (0 to 1) from which one is preferred to what is declared."""
 FEET_LEVEL = 0.02
@@ -38,6 +40,7 @@ SLOPE = 0.95
 by hand on made logs, not measured on others."""
 NO_UNIT = 3.0
 """Ratio to the positions' slope from which what is in no unit is no velocity that could be used."""
+AS_NEEDED = "its values alone: they are what the motion needs"
 DYNAMICS = 600
 """Samples on which inverse dynamics is evaluated."""
 
@@ -49,8 +52,11 @@ def position(e: Evidence) -> None:
     found = e.candidates_for("joint_pos")
     if not found and e.target is not None and "joint_pos" not in e.chosen:
         # A field without a telling name, as wide as the robot; of known types it is known that it is something else.
-        wide = [c for c in e.candidates if not c.role and e.of(c)[1].width == len(e.target.joints) > 1]
-        found = [c for c in wide if not known_type(e.stream(c).type) and not _still(e.of(c)[1].values)]
+        free = [c for c in e.candidates if not c.role and not known_type(e.stream(c).type) and not is_other(c.member)]
+        wide = [c for c in free if (f := e.of(c)[1]).width == len(e.target.joints) and not _still(f.values)]
+        alone = len(wide) == 1 and any(c.role.startswith("command") for c in e.candidates)
+        if len(e.target.joints) > 1 or alone:
+            found = [replace(c, why="its width alone: no name and no slope tells it") for c in wide]
     source = _best_positions(e, found)
     if source is None:
         return
@@ -77,13 +83,11 @@ def position(e: Evidence) -> None:
         why += "; in turns they may be, too: give the unit in the column's name, q1 [rad]"
     signs, turned = _signs(ranges, names, values)
     narrow = _narrow(e.target)
-    doubtful = doubtful or bool(narrow)
-    evidence = [f"by {source.why}", how, why, *turned, _within(ranges, names, values * signs), narrow]
-    if _share_within(ranges, values * signs) < IN_RANGE:
-        doubtful = True
-        evidence.append("most samples are outside the ranges of the model's joints: another unit, zero or model?")
-    e.settle("joint_pos", source, columns, names, evidence, scale=size * signs, offset=offset, unit=unit,
-             doubtful=doubtful)  # fmt: skip
+    beyond = _within(ranges, names, values * signs)
+    nameless = not source.role and "joint_pos" not in e.chosen
+    e.settle("joint_pos", source, columns, names, [f"by {source.why}", how, why, *turned, beyond, narrow],
+             scale=size * signs, offset=offset, unit=unit,
+             doubtful=doubtful or nameless or bool(narrow or beyond))  # fmt: skip
 
 
 def _best_positions(e: Evidence, found: Sequence[Candidate]) -> Candidate | None:
@@ -148,14 +152,20 @@ def _which_joints(e: Evidence, source: Candidate, field: Field) -> tuple[list[in
     orders = e.target.orders(field.width)
     if not orders:
         return [], [], "", False
+    asked = _asked_columns(e, source, field)
     scores = {name: _order_score(e, field, order, source) for name, order in orders.items()}
+    for name, order in orders.items() if asked else ():
+        known = dict(sorted((asked[k], joint) for k, joint in order.items())) in orders.values()
+        scores[name] = (scores[name][0] + known) / 2, f"{scores[name][1]}, commands in a known order {known:d}"
     listed = source.label in {c.label for c in e.chosen.values() if c is not None} and "," in source.member
     usual = MODELS_ORDER if (listed or _numbered(field)) and MODELS_ORDER in scores else ""
     lead = {n: scores[n][0] + (CONVENTION if n == usual else 0.0) for n in scores}
     ranked = sorted(lead, key=lambda n: -lead[n])
     best = ranked[0]
     said = f"unnamed columns: {best}, agreement {scores[best][0]:.2f} ({scores[best][1]})"
-    rivals = [] if listed else [n for n in ranked[1:] if lead[n] > lead[best] - 0.02]
+    # Numbers count the columns of any controller's order; only a sorted one is likely to come with names.
+    own = lead if best != usual else {n: lead[n] if n == ALPHABETICAL else scores[n][0] + CONVENTION for n in lead}
+    rivals = [] if listed else [n for n in ranked[1:] if own[n] > own[best] - 0.02]
     if rivals:
         said += f"; as likely by the data: {', '.join(rivals)}: check, or name the columns"
     elif len(ranked) > 1:
@@ -166,13 +176,28 @@ def _which_joints(e: Evidence, source: Candidate, field: Field) -> tuple[list[in
     strange = bool(field.labels) and not listed and not _numbered(field)
     if strange:
         said += f"; the columns' names ({', '.join(field.labels[:4])}) are none of the model's: check, or use --use"
-    return list(orders[best]), list(orders[best].values()), said, bool(rivals or moving or strange)
+    e.unordered = bool(rivals or moving or strange)
+    return list(orders[best]), list(orders[best].values()), said, e.unordered
 
 
 def _numbered(field: Field) -> bool:
-    """Whether numbers tell the columns of a table apart: q1, q2 are the first and the second joint."""
-    numbers = {tuple(found) for c in field.columns if (found := re.findall(r"\d+", c))}
-    return field.width > 1 and len(field.columns) == field.width == len(numbers)
+    """Whether numbers count the columns of a table: q1, q2 are the first and the second joint."""
+    numbers = [re.findall(r"\d+", c) for c in field.columns]
+    if field.width < 2 or len(numbers) != field.width or len({len(n) for n in numbers}) > 1:
+        return False
+    counted = [[int(n) for n in place] for place in zip(*numbers, strict=True) if len(set(place)) > 1]
+    return len(counted) == 1 and bool((np.diff(counted[0]) == 1).all())
+
+
+def _asked_columns(e: Evidence, source: Candidate, field: Field) -> tuple[int, ...]:
+    """Of each column the command beside it that it follows, where those are plainly in another order; else nothing."""
+    for c in e.candidates:
+        asked = e.of(c)[1] if c.stream == source.stream and c.role in ("command", "command.position") else None
+        if asked is not None and asked.width == field.width > 1:
+            found = pair([agreement(e.of(c)[0], asked.values, field.values)], range(field.width))
+            if found.gain > PLAIN and found.margin > ALIKE:
+                return found.columns
+    return ()
 
 
 def _still(values: F64) -> bool:
@@ -288,9 +313,9 @@ def _signs(ranges: F64, names: Sequence[str], values: F64) -> tuple[F64, list[st
 def _within(ranges: F64, names: Sequence[str], values: F64) -> str:
     """The joint that lies most outside its range."""
     share, k = min((_share_within(ranges[[k]], values[:, [k]]), k) for k in range(len(names)))
-    if share >= 0.9:
+    if share >= IN_RANGE:
         return ""
-    return f"{names[k]} is outside its range in {1 - share:.0%} of the samples"
+    return f"{names[k]} is outside its range in {1 - share:.0%} of the samples: another order, unit, zero or model?"
 
 
 def _narrow(target: Target) -> str:
@@ -381,11 +406,11 @@ def _velocity(e: Evidence, source: Candidate, columns: list[int], names: list[st
     return True
 
 
-def torque(e: Evidence) -> None:
-    """Joint torques, by inverse dynamics (a fixed base) or only by name."""
+def torque(e: Evidence, *, unnamed: bool = False) -> None:
+    """Joint torques, by inverse dynamics (a fixed base) or only by name; `unnamed` ones by inverse dynamics alone."""
     if "joint_pos" not in e.proposal.assignments or "joint_torque" in e.proposal.assignments:
         return
-    found = e.ranked(_with_samples(e, e.candidates_for("joint_torque")))
+    found = e.ranked(_with_samples(e, e.candidates_for("joint_torque"))) or (_as_needed(e) if unnamed else [])
     for source in sorted(found, key=lambda c: is_electric(c.member)):
         columns, names, how = columns_for(e, source)
         if len(columns) < len(e.proposal.joints):
@@ -413,8 +438,26 @@ def torque(e: Evidence) -> None:
         ratio = float(np.median(factors)) if factors else np.nan
         scale, unit, text, doubtful = _torque_unit(ratio, corrs, source.unit, current)
         doubtful |= unit != (source.unit or "N m") and e.proposal.assignments["joint_pos"].doubtful
+    doubtful |= source.why == AS_NEEDED
     e.settle("joint_torque", source, columns, names, [*evidence, text], scale=scale, unit=unit, doubtful=doubtful)
     e.proposal.torque_kind = "current_times_constant" if current else "measured"
+
+
+def _as_needed(e: Evidence) -> list[Candidate]:
+    """Fields that no name tells, and that are what the motion needs by inverse dynamics."""
+    joints, found = list(e.proposal.joints), []
+    if e.target is None or e.target.floating or "joint_torque" in e.chosen:
+        return []
+    for c in (c for c in e.candidates if not c.role and not known_type(e.stream(c).type)):
+        columns, names, _ = columns_for(e, c)
+        time, field = e.of(c)
+        place = e.beside("joint_pos", time)
+        if names != joints or place is None or (need := _needed(e, tuple(names), place, time)) is None:
+            continue
+        corrs = [abs(alike(field.values[need[0], column], need[1][:, k])) for k, column in enumerate(columns)]
+        if np.median(corrs) > SAME:
+            found.append(replace(c, role="joint_torque", why=AS_NEEDED))
+    return found
 
 
 def _torque_unit(ratio: float, corrs: F64, declared: str, current: bool) -> tuple[float, str, str, bool]:

@@ -14,6 +14,7 @@ from realsim.gap.recordings.vocabulary import english
 
 MAX_MODEL_BYTES = 64 * 2**20
 MODELS_ORDER = "the model's order"
+ALPHABETICAL = "alphabetical"
 FOOT_HEIGHT = 0.05
 """m above the lowest leaf body in the reference pose up to which a leaf is taken for a foot."""
 
@@ -115,7 +116,7 @@ class Target:
             lists[MODELS_ORDER] = joints
             lists["the order of the model's actuators"] = driven
             lists["breadth first (Isaac)"] = self._breadth_first()
-            lists["alphabetical"] = sorted(joints)
+            lists[ALPHABETICAL] = sorted(joints)
         elif width == len(driven):
             lists["the order of the model's actuators"] = driven
         elif width > len(joints):

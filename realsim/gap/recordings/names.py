@@ -110,6 +110,11 @@ def is_sent(name: str) -> bool:
     return "target" in english(name)
 
 
+def is_other(name: str) -> bool:
+    """Whether a name is that of no signal of a joint: a temperature, a gain, the tool."""
+    return bool(set(english(name)) & _NOT)
+
+
 def is_electric(name: str) -> bool:
     """Whether a name is that of a current or of a load without a unit: a torque up to an unknown factor."""
     return "electric" in english(name) or "load" in plain(name).split("_") or unit_of(name) in ("A", "mA")
@@ -138,7 +143,7 @@ def meaning(stream: str, kind: str, member: str) -> tuple[str, str, str]:
     unit = unit_of(member) or next((u for name, u in IN_TURNS.items() if name in plain(member)), "")
     above, _, ending = member.rpartition(".")
     found = english(member if ending in ("data", "values", "value") else ending)
-    if set(found) & _NOT:
+    if is_other(member if ending in ("data", "values", "value") else ending):
         return "", "", ""
     text = "_".join(w for w in found if w != "target")
     role = next((r for r, pattern in _WORDS if re.search(pattern, text)), "")
@@ -194,7 +199,13 @@ FEET: dict[str, list[str]] = {"Unitree Go1, Go2, A1, B2": ["FR", "FL", "RR", "RL
 
 
 def match_joints(labels: Sequence[str], joints: Sequence[str]) -> dict[int, str]:
-    """Column -> joint, where the label names exactly one; a prefix of all labels (a namespace) does not matter."""
+    """Column -> joint, where the label names exactly one; a prefix of all labels (a namespace) does not matter.
+
+    Of labels `motor / joint`, two names of one thing, the side that names more joints counts.
+    """
+    if any(" / " in label for label in labels):
+        sides = zip(*(label.split(" / ") for label in labels), strict=False)
+        return max((match_joints(side, joints) for side in sides), key=len, default={})
     found: dict[int, str] = {}
     words = {joint: _core(joint) for joint in joints}
     for column, label in enumerate(labels):

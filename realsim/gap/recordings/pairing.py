@@ -116,10 +116,14 @@ def blocks(time: F64, table: F64, width: int) -> dict[str, int]:
     slopes = {(p, v): _slope(time, parts[p], parts[v]) for p, v in apart}
     good = [pair for pair, corr in slopes.items() if corr > SLOPE]
     found: dict[str, int] = {}
+    speeds = {v for _, v in good}
+    good = [pair for pair in good if pair[0] not in speeds] or good  # accelerations are the slope of velocities, too
     if good:
         place, speed = max(good, key=lambda pair: slopes[pair])
         found = {"joint_pos": place, "joint_vel": speed}
-    asked = {(c, p): leads(time, parts[c], parts[p]) for c, p in apart if p == found.get("joint_pos", p)}
+    moving = {k for k, v in parts.items() if 2 * (np.nanstd(v, axis=0) > 1e-6).sum() >= width}  # one joint tells little
+    apart = [(c, p) for c, p in apart if c in moving and p == found.get("joint_pos", p)]
+    asked = {(c, p): leads(time, parts[c], parts[p]) for c, p in apart}
     asked = {pair: corr for pair, corr in asked.items() if pair[0] != found.get("joint_vel") and corr > LEADS}
     if asked:
         command, place = max(asked, key=lambda pair: asked[pair])
@@ -128,10 +132,10 @@ def blocks(time: F64, table: F64, width: int) -> dict[str, int]:
 
 
 def _slope(time: F64, place: F64, speed: F64) -> float:
-    """The smallest correlation, of the columns that move, of ways travelled with integrals."""
-    found = []
-    for k in range(place.shape[1]):
-        moved, sums = travelled(time, place[:, k], speed[:, k])
-        if len(moved) and np.nanstd(moved) > 1e-9:
-            found.append(alike(sums, moved))
-    return min(found, default=0.0)
+    """Correlation of ways travelled with integrals, of all columns together: those that rest hardly count."""
+    pairs = [travelled(time, place[:, k], speed[:, k]) for k in range(place.shape[1])]
+    ways = [(moved - np.nanmean(moved), sums - np.nanmean(sums)) for moved, sums in pairs if len(moved)]
+    if not ways:
+        return 0.0
+    moved, sums = (np.concatenate(side) for side in zip(*ways, strict=True))
+    return alike(sums, moved) if np.nanstd(moved) > 1e-9 else 0.0

@@ -3,21 +3,32 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from realsim.core.errors import GapError, MissingExtraError, RealsimError
-from realsim.core.files import check_size
+from realsim.core.files import check_size, read_json
 from realsim.core.progress import track
 from realsim.gap.recordings.jumps import unbroken
-from realsim.gap.recordings.names import seconds_of
+from realsim.gap.recordings.names import is_sent, seconds_of
 from realsim.gap.recordings.readers import READERS
-from realsim.gap.recordings.recording import Field, Reader, Recording, Stream, Window, no_samples
+from realsim.gap.recordings.recording import Field, Reader, Recording, Stream, Window, facts_of, no_samples
+from realsim.gap.recordings.signals import at, held
+from realsim.gap.recordings.tables import table
 from realsim.gap.recordings.vocabulary import KINDS, SIDES, SIGNALS, english, plain
 
 MAX_RUNS = 400
 MAX_BYTES = 64 * 2**30
 AS_A_TABLE = "save it as .csv or .parquet with a column of time and one for each signal (docs/logs.md)"
+
+_SQLITE = "sqlite3 -header -csv {path} 'select * from TABLE' > log.csv (sqlite3 {path} .tables lists the tables)"
+EXPORTS = {
+    **dict.fromkeys((".db", ".sqlite", ".sqlite3"), _SQLITE),
+    ".tdms": 'pip install nptdms pandas; python -c "from nptdms import TdmsFile; '
+    "TdmsFile('{path}').as_dataframe(time_index=True).to_csv('log.csv')\"",
+}
+"""What makes a table of files that are not read, by their ending."""
 
 
 def read(path: Path, window: Window | None = None) -> list[Recording]:
@@ -55,7 +66,7 @@ def unknown(path: Path) -> GapError:
         file=path,
         expected="; ".join(READERS[name].looks_for for name in READERS),
         found=path.suffix or "no file ending",
-        hint=AS_A_TABLE,
+        hint=EXPORTS.get(path.suffix.lower(), AS_A_TABLE).format(path=path),
     )
 
 
@@ -72,11 +83,23 @@ def _read(reader: Reader, path: Path, window: Window) -> list[Recording]:
         for inner in path.rglob("*"):
             if not inner.is_dir():
                 check_size(inner, MAX_BYTES)
-    whole = [replace(r, streams=filled) for r in reader.read(path, window) if (filled := _filled(r))]
+    beside = path.with_suffix(".json")  # what a logger says of its table: a rate, gains
+    said = _facts(beside) if beside != path and path.is_file() and beside.is_file() else {}
+    read_ = [replace(r, facts={**said, **r.facts}) for r in reader.read(path, window)]
+    whole = [replace(r, streams=filled) for r in read_ if (filled := _filled(r))]
     found = [_finite(replace(part, streams=_filled(part))) for r in whole for part in unbroken(r)]
     if not found:
         raise no_samples(path, "samples in the window of time", window=window)
     return found
+
+
+def _facts(path: Path) -> dict[str, Any]:
+    """What a file of JSON says that holds no samples; nothing of another one."""
+    try:
+        value = read_json(path)
+    except RealsimError:
+        return {}
+    return facts_of(value) if isinstance(value, dict) else {}
 
 
 def _filled(recording: Recording) -> tuple[Stream, ...]:
@@ -152,6 +175,8 @@ def joined(recordings: Sequence[Recording]) -> list[Recording]:
     They are named alike but for words of signals (`run1_cmd`, `run1_state`), or each of the folder's files holds
     something else; and they run over the same seconds.
     """
+    if (merged := _a_file_a_joint(recordings)) is not None:
+        return [merged]
     groups: dict[str, list[Recording]] = {}
     for recording in recordings:
         groups.setdefault(_bare(recording.name), []).append(recording)
@@ -171,6 +196,25 @@ def joined(recordings: Sequence[Recording]) -> list[Recording]:
         notes = (*(n for p in parts for n in p.notes), f"{files} are taken as one run")
         result.append(replace(parts[0], name=name or parts[0].name, streams=streams, notes=notes))
     return result
+
+
+def _a_file_a_joint(recordings: Sequence[Recording]) -> Recording | None:
+    """Files of one joint each as one run, where a clock that does not begin at zero shows that they ran at once."""
+    single = all(len(r.streams) == 1 and all(f.width == 1 for f in r.streams[0].fields.values()) for r in recordings)
+    if len(recordings) < 2 or not single or len({_layout(r) for r in recordings}) > 1 or not _one_clock(recordings):
+        return None
+    streams = [r.streams[0] for r in recordings]
+    times = [seconds_of(*next(iter(s.clocks.items())))[0] for s in streams]
+    if any((np.diff(t) <= 0).any() for t in times) or min(t[0] for t in times) < 10 * max(np.ptp(t) for t in times):
+        return None
+    columns = {
+        f"{name} {r.name}": (held if is_sent(name) else at)(t, f.values, times[0])[:, 0]
+        for r, s, t in zip(recordings, streams, times, strict=True)
+        for name, f in s.fields.items()
+    }
+    stream = table(recordings[0].path, "", {"time [s]": times[0], **columns})
+    notes = (*(n for r in recordings for n in r.notes), f"{', '.join(r.name for r in recordings)} are taken as one run")
+    return replace(recordings[0], streams=(stream,), notes=notes)
 
 
 def _bare(name: str) -> str:

@@ -1,8 +1,10 @@
 """Result of every reader: streams of numbers with names, labels, units and clocks, not yet interpreted."""
 
+import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +16,10 @@ from realsim.core.types import F64, Bool
 MAX_VALUES = 60_000_000
 """Numbers that a recording may hold in memory. Beyond, a window of time has to be asked for. At the peak each takes 28
 bytes (an MCAP of 3 million joint states, 75 million numbers: 2.1 GB)."""
+
+
+MOST_FACTS = 200
+"""Facts of one level that are kept."""
 
 
 @dataclass(frozen=True)
@@ -106,6 +112,22 @@ class Reader:
     recognise: Callable[[Path], bool]
     """A cheap look at names and first bytes; must not raise for any other file."""
     read: Callable[[Path, Window], list[Recording]]
+
+
+def facts_of(value: Mapping[str, Any], place: str = "") -> dict[str, Any]:
+    """Numbers and words of what describes a recording, by dotted names; of a text of JSON, those in it."""
+    found: dict[str, Any] = {}
+    for name, item in islice(value.items(), MOST_FACTS):
+        full, inner = f"{place}.{name}".lstrip("."), item.item() if isinstance(item, np.generic) else item
+        if isinstance(inner, str) and inner.lstrip().startswith("{"):
+            with suppress(ValueError, RecursionError):
+                found |= facts_of(json.loads(inner), place)
+                continue
+        if isinstance(inner, Mapping):
+            found |= facts_of(inner, full)
+        elif isinstance(inner, (int, float, str)):
+            found[full] = inner[:200] if isinstance(inner, str) else inner
+    return found
 
 
 def refuse_more(path: Path, values: int) -> None:

@@ -34,9 +34,11 @@ def table(path: Path, name: str, columns: Mapping[str, F64], *, window: Window =
     columns = _joined_stamps(columns)
     scalars = {n: v for n, v in columns.items() if v.ndim == 1}
     clocks = {n: v for n, v in scalars.items() if is_clock(n)}
+    stamps: dict[str, F64] = {}
     if not any(rises_evenly(v) for v in clocks.values()) and (found := _clock_by_values(scalars)):
         clocks = {found: scalars[found], **clocks}
-    rest = {n: v for n, v in columns.items() if n not in clocks and v.ndim <= 2}
+        stamps = _stamps(scalars)
+    rest = {n: v for n, v in columns.items() if n not in clocks and n not in stamps and v.ndim <= 2}
     vectors = {
         n: Field(v, (), split_unit(n)[1], (n,)) for n, v in rest.items() if v.ndim == 2 and 0 < v.shape[1] <= MAX_WIDTH
     }
@@ -102,6 +104,16 @@ def labelled(
     return replace(stream, type=kind, fields=named)
 
 
+def named(stream: Stream, lists: Sequence[Sequence[str]]) -> Stream:
+    """A stream whose fields without labels have those of a list of as many names that stands beside them."""
+    fields = dict(stream.fields)
+    for labels in (tuple(found) for found in lists if len(set(found)) == len(found) > 1):
+        fields = {
+            n: replace(f, labels=labels) if not f.labels and f.width == len(labels) else f for n, f in fields.items()
+        }
+    return replace(stream, fields=fields)
+
+
 def a_column_a_joint(
     columns: Mapping[str, F64], words: Mapping[str, Sequence[str]], notes: list[str]
 ) -> tuple[dict[str, F64], dict[str, F64], list[str]] | None:
@@ -132,7 +144,13 @@ def a_column_a_joint(
         if not (in_turn or one_by_one) or not all(rises_evenly(times[rows]) for rows in each):
             continue
         order = sorted(range(len(names)), key=lambda k: each[k][0])
-        labels = [str(names[k]) if place in words else f"joint_{int(names[k])}" for k in order]
+        # A motor and its joint stand side by side: each name of it can be the model's.
+        beside = {w: {*zip(found, code.tolist(), strict=True)} for w, found in words.items() if len(found) == len(code)}
+        alike = [w for w, pairs in beside.items() if len(pairs) == len(names) == len({*words[w]})]
+        labels = [
+            " / ".join(words[w][each[k][0]] for w in alike) if place in words else f"joint_{int(names[k])}"
+            for k in order
+        ]
         stamps = np.unique(times)
         together = len(stamps) < 1.5 * max(map(len, each))  # else each joint was read at a moment of its own
         stamps = stamps if together else times[each[order[0]]]
@@ -196,12 +214,21 @@ def _clock_by_values(columns: Mapping[str, F64]) -> str:
     found = [
         n for n in found if time_unit(n) or not (_counts(columns[n]) and (set(english(n)) & _COUNTS or not plain(n)))
     ]
+    stamps = list(_stamps({n: columns[n] for n in found}).values())
+    apart = max((float(np.ptp(row)) for row in np.transpose(stamps)), default=0.0) if len(stamps) > 1 else 0.0
+    if apart > 0 and apart > 0.5 * np.median(np.diff(stamps[0])):
+        return ""  # clocks of signals that were not sampled together
     return min(found, key=lambda n: (not time_unit(n), "time" not in english(n), _counts(columns[n])), default="")
+
+
+def _stamps(columns: Mapping[str, F64]) -> dict[str, F64]:
+    """Clocks of single signals: `positions.timestamps`."""
+    return {n: v for n, v in columns.items() if _is_stamp(n) and rises_evenly(v)}
 
 
 def _is_stamp(name: str) -> bool:
     """Whether a path ends in a clock: `/joint_states/header/stamp`, `/joint_states/header/stamp/sec`."""
-    parts = name.split("/")
+    parts = re.split("[/.]", name)
     return any(is_clock(" ".join(parts[-k:])) for k in range(1, len(parts)))
 
 

@@ -67,7 +67,7 @@ _UNIT_OF = {text: unit for unit, texts in _UNITS.items() for text in texts.split
 TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 """Seconds per unit of time."""
 _CLOCKS = {"time", "timestamp", "t", "stamp", "tick", "ticks", "clock", "rectime", "elapsed", "uptime", "epoch"}
-_CLOCKS |= {text for text, unit in _UNIT_OF.items() if unit in TIMES and len(text) > 2}
+_CLOCKS |= {"times", "timestamps"} | {text for text, unit in _UNIT_OF.items() if unit in TIMES and len(text) > 2}
 _BESIDE_CLOCKS = {
     word
     for words in (

@@ -1,5 +1,6 @@
 """Tables as strangers write them: clocks, languages, units, orders, files; each with its right value."""
 
+import json
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from realsim.core.errors import GapError
+from realsim.core.recognise import TAKES, explain
 from realsim.gap.recordings import load_target, propose, read
 from realsim.gap.recordings.arrays import run_arrays
 from realsim.gap.recordings.vocabulary import english, split_unit
@@ -378,3 +380,79 @@ def test_runs_one_after_the_other_are_no_joints(arm: Log, tmp_path: Path) -> Non
     path = tmp_path / "a.csv"
     path.write_text("\n".join(["time,run,q1,q2", *rows]))
     assert [r.streams[0].count for r in read(path)] == [len(arm.time)] * 2
+
+
+def test_a_row_a_motor_beside_the_name_of_its_joint(arm: Log, tmp_path: Path) -> None:
+    """The motors' names are none of the model's, whatever their numbers; those of the joints beside them are."""
+    target = load_target(save(tmp_path, ARM))
+    for names in (("RS02_15", "RS04_13"), ("RS02_15,elbow_joint", "RS04_13,shoulder_joint")):
+        lines = ["t,q_m,q_m_des,motor_name,joint_name" if "," in names[0] else "t,q_m,q_m_des,motor_name"]
+        for t, q, c in zip(arm.time, arm.pos, arm.command, strict=True):
+            lines += [f"{t:.6f},{q[k]:.9f},{c[k]:.9f},{names[1 - k]}" for k in (1, 0)]
+        (tmp_path / "log.csv").write_text("\n".join(lines))
+        found = propose(read(tmp_path / "log.csv"), target)
+        doubtful = "," not in names[0]
+        assert found.assignments["joint_pos"].doubtful is found.assignments["command"].doubtful is doubtful
+        if not doubtful:
+            arrays = run_arrays(found, found.recordings[0]).arrays
+            np.testing.assert_allclose(arrays["joint_pos"], arm.pos, atol=1e-6)
+            np.testing.assert_allclose(arrays["command"], arm.command, atol=1e-6)
+
+
+def test_letters_of_control_engineering(arm: Log, tmp_path: Path) -> None:
+    columns = [arm.command[:, 1], arm.pos[:, 1], arm.torque[:, 1]]
+    found = propose(read(write(tmp_path / "a.csv", "t,r,y,u", arm.time, *columns)))
+    assert found.assignments["command"].source.member == "r"
+    assert found.assignments["joint_pos"].source.member == "y"
+
+
+def test_a_table_of_labview_and_a_rate_beside_a_table(arm: Log, tmp_path: Path) -> None:
+    head = "LabVIEW Measurement\nChannels\t4\nX0\t0.0\t0.0\t0.0\t0.0\n***End_of_Header***\n"
+    rows = write(tmp_path / "a.txt", "", arm.time, arm.command, arm.pos, delimiter="\t").read_text().lstrip("\n")
+    (tmp_path / "a.lvm").write_text(f"{head}X_Value\tq1_cmd\tq2_cmd\tq1\tq2\tComment\n{rows}")
+    check(tmp_path / "a.lvm", tmp_path, arm)
+    path = write(tmp_path / "b.csv", "q1_cmd,q2_cmd,q1,q2", arm.command, arm.pos)
+    rate = 1 / np.median(np.diff(arm.time))
+    path.with_suffix(".json").write_text(json.dumps({"robot": {"control_freq": rate}}))
+    check(path, tmp_path, arm)
+
+
+def test_words_between_the_numbers_of_a_serial_port(arm: Log, tmp_path: Path) -> None:
+    lines = [
+        f"[INFO] t: {t:.6f} goal: {c[0]:.9f},{c[1]:.9f} -> pos: {q[0]:.9f},{q[1]:.9f} ok"
+        for t, c, q in zip(arm.time, arm.command, arm.pos, strict=True)
+    ]
+    (tmp_path / "a.log").write_text("\n".join(["hello", *lines]))
+    (stream,) = read(tmp_path / "a.log")[0].streams
+    np.testing.assert_allclose(stream.fields["goal"].values, arm.command, atol=1e-6)
+    np.testing.assert_allclose(stream.fields["pos"].values, arm.pos, atol=1e-6)
+    np.testing.assert_allclose(stream.clocks["t"], arm.time, atol=1e-6)
+
+
+def test_errors_about_a_text_keep_their_own_way_out(arm: Log, tmp_path: Path) -> None:
+    path = write(tmp_path / "a.txt", "q1_cmd,q2_cmd,q1,q2", arm.command, arm.pos)
+    with pytest.raises(GapError, match="has no time") as caught:
+        propose(read(path), load_target(save(tmp_path, ARM)))
+    assert not explain(caught.value, path, TAKES["recording"])
+    assert "--rate" in str(caught.value.hint)
+    path.write_text("\n".join(path.read_text().splitlines()[1:]))
+    found = propose([replace(r, facts={"rate": 100}) for r in read(path)], load_target(save(tmp_path, ARM)))
+    assert found.complete or "column_1" in " ".join(found.missing)
+    (tmp_path / "a.sqlite").write_bytes(b"SQLite format 3\0")
+    with pytest.raises(GapError) as caught:
+        read(tmp_path / "a.sqlite")
+    assert "sqlite3 -header" in str(caught.value.hint)
+
+
+def test_a_file_a_motor_is_one_run_where_their_clock_says_so(arm: Log, tmp_path: Path) -> None:
+    for start, runs in ((1.7e9, 1), (0.0, 2)):
+        folder = tmp_path / f"logs{runs}"
+        folder.mkdir()
+        for k in range(2):
+            time = start + 0.001 * k + arm.time
+            write(folder / f"motor_{k}.csv", "time,goal,pos", time, arm.command[:, k], arm.pos[:, k], fmt="%.6f")
+        assert len(read(folder)) == runs
+    found = propose(read(tmp_path / "logs1"), load_target(save(tmp_path, ARM)))
+    assert found.assignments["joint_pos"].targets == ("shoulder_joint", "elbow_joint")
+    arrays = run_arrays(found, found.recordings[0]).arrays
+    np.testing.assert_allclose(arrays["joint_pos"][5:-5], arm.pos[5 : len(arrays["time"]) - 5], atol=0.05)

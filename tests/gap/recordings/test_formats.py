@@ -309,6 +309,25 @@ def test_json_of_a_servo_bench(arm: Log, tmp_path: Path) -> None:
     assert proposal.assignments["joint_pos"].source.member == "position"
 
 
+def test_json_of_rollouts_is_runs_at_the_rate_of_its_settings(arm: Log, tmp_path: Path) -> None:
+    lengths = (900, 700, 800)
+    data = [
+        {"type": "x", "actions": arm.command[:n, 1].tolist(), "sensor_data": arm.pos[:n, 1].tolist()} for n in lengths
+    ]
+    (tmp_path / "data.json").write_text(json.dumps({"config": {"action_hz": 50}, "data": data}))
+    found = propose(read(tmp_path / "data.json"))
+    assert [r.streams[0].count for r in found.recordings] == list(lengths)
+    assert "50 samples per second" in found.clocks[0]
+    alone = ARM.replace("shoulder_joint", "elbow_joint").split('<body name="fore"')[0]
+    found = propose(read(tmp_path / "data.json"), load_target(save(tmp_path, alone + ALONE)))
+    assert found.assignments["command"].source.member == "actions"
+    assert found.assignments["joint_pos"].source.member == "sensor_data"  # it follows the actions
+    assert found.assignments["joint_pos"].doubtful
+    rows = [{"q": [0.1] * 29, "dq": [k / 10] * 29, "t": k} for k in range(60)]  # joints are no samples
+    (tmp_path / "rows.json").write_text(json.dumps(rows))
+    assert [r.streams[0].count for r in read(tmp_path / "rows.json")] == [60]
+
+
 def test_measured_and_desired_halves_are_one_run(arm: Log, tmp_path: Path) -> None:
     folder = tmp_path / "runs"
     folder.mkdir()

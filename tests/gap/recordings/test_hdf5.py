@@ -116,3 +116,21 @@ def test_what_is_no_such_file_is_refused(name: str, reader: object, tmp_path: Pa
     (tmp_path / name).write_bytes(b"MATLAB 5.0 MAT-file" + bytes(200))
     with pytest.raises(RealsimError):
         reader.read(tmp_path / name, WHOLE)
+
+
+def test_clocks_of_signals_and_names_of_joints_beside_them(tmp_path: Path) -> None:
+    """As YARP's logger writes for MATLAB: a clock a signal, nearly the same, a side of length 1, cells of names."""
+    for late in (1e-4, 0.3):
+        with h5py.File(tmp_path / "log.mat", "w") as file:
+            for k, (name, values) in enumerate({"measured": POSITION, "desired": COMMAND}.items()):
+                file[f"device/positions/{name}/data"] = values[:, None, :]
+                file[f"device/positions/{name}/timestamps"] = (TIME + late * k)[:, None]
+            names = [file.create_dataset(f"#refs#/{k}", data=np.array([[ord(c)] for c in n], np.uint16))
+                     for k, n in enumerate(("hip", "knee"))]  # fmt: skip
+            file["device/names"] = np.array([[n.ref for n in names]], dtype=h5py.ref_dtype)
+            file.attrs["control_freq"] = 50.0
+        (recording,) = hdf5.read(tmp_path / "log.mat", WHOLE)
+        (stream,) = recording.streams
+        assert stream.fields["measured.data"].labels == ("hip", "knee")
+        assert recording.facts["control_freq"] == 50
+        assert len(stream.clocks) == (1 if late < 0.01 else 0)

@@ -12,12 +12,12 @@ from realsim.core.errors import GapError
 from realsim.core.text_table import cells
 from realsim.gap.recordings import Window, load_target, propose, read, write_case
 from realsim.gap.recordings.arrays import run_arrays
-from realsim.gap.recordings.clocks import clocked
+from realsim.gap.recordings.clocks import clocked, declared_rate
 from realsim.gap.recordings.names import clock_unit, match_joints, meaning
 from realsim.gap.recordings.recording import Field, Recording, Stream
 from realsim.gap.recordings.vocabulary import is_clock
 
-from .robots import ARM, PLACES, QUADRUPED, Log, save
+from .robots import ARM, PLACES, QUADRUPED, STAND, Log, save
 
 SDK = [3, 4, 5, 0, 1, 2, 9, 10, 11, 6, 7, 8]
 
@@ -101,10 +101,57 @@ def test_order_of_unnamed_columns_by_level_feet(quadruped: Log, tmp_path: Path) 
 
 
 def test_an_order_that_nothing_tells_is_in_doubt(quadruped: Log, tmp_path: Path) -> None:
+    """Numbers of columns tell no order that only a sorted one rivals; what depends on it is in doubt with it."""
     target = load_target(save(tmp_path, QUADRUPED))
     found = propose([table(quadruped, q=quadruped.pos, q_des=quadruped.command)], target)
     assert found.assignments["joint_pos"].doubtful
     assert "as likely" in " ".join(found.assignments["joint_pos"].evidence)
+    parts = {"q": quadruped.pos, "dq": quadruped.vel, "q_des": quadruped.command}
+    fields = {n: Field(v, (), "", tuple(f"{n}_{k}" for k in range(12))) for n, v in parts.items()}
+    found = propose([recording(Stream("", "table", {"time": quadruped.time}, fields))], target)
+    assert found.assignments["joint_pos"].targets == target.joints
+    assert all(found.assignments[role].doubtful for role in ("joint_pos", "joint_vel", "command"))
+
+
+def test_the_order_of_commands_tells_that_of_positions(tmp_path: Path) -> None:
+    """Of two orders of the positions that look alike, the one with which the commands are in a known one, too."""
+    target, time = load_target(save(tmp_path, QUADRUPED)), np.arange(0, 6, 0.01)
+    asked = STAND + 0.15 * np.sin(np.outer(time, 2 + 0.37 * np.arange(12)))
+    done = STAND + 0.15 * np.sin(np.outer(time - 0.03, 2 + 0.37 * np.arange(12)))
+    isaac = [0, 3, 6, 9, 1, 4, 7, 10, 2, 5, 8, 11]
+    fields = {"q": done[:, SDK], "q_des": asked[:, isaac]}
+    numbered = {n: Field(v, (), "", tuple(f"{n}_{k}" for k in range(12))) for n, v in fields.items()}
+    found = propose([recording(Stream("", "table", {"time": time}, numbered))], target)
+    place, command = found.assignments["joint_pos"], found.assignments["command"]
+    assert place.targets == tuple(target.joints[k] for k in SDK)
+    assert command.columns == tuple(isaac.index(k) for k in range(12))
+    assert not place.doubtful
+    assert not command.doubtful
+
+
+def test_positions_and_velocities_by_their_slope_where_no_name_tells_them(arm: Log, tmp_path: Path) -> None:
+    np.savez(tmp_path / "log.npz", stamp=arm.time, x_a=arm.vel, x_b=arm.pos, q_cmd=arm.command)
+    found = propose(read(tmp_path / "log.npz"), load_target(save(tmp_path, ARM)))
+    place, speed = found.assignments["joint_pos"], found.assignments["joint_vel"]
+    assert (place.source.member, speed.source.member) == ("x_b", "x_a")
+    assert place.doubtful
+    assert speed.doubtful
+    assert all(e.strip() != "by" for e in place.evidence)
+
+
+@pytest.mark.parametrize(
+    ("facts", "rate"),
+    [
+        ({"config.action_hz": 50}, 50),
+        ({"step_dt": 0.02, "dt": 0.005}, 50),
+        ({"env_kwargs.control_freq": 20, "sim_freq": 500}, 20),
+        ({"fps": 30, "rate": 25}, 25),
+        ({"fps": 30, "hz": 60}, 0),
+        ({"baud_rate": 9600, "learning_rate": 0.1, "fps": "x"}, 0),
+    ],
+)
+def test_rates_that_files_declare(facts: dict[str, object], rate: float) -> None:
+    assert declared_rate(facts)[0] == pytest.approx(rate)
 
 
 @pytest.mark.parametrize("order", ["wxyz", "xyzw"])

@@ -15,7 +15,7 @@ from realsim.gap.recordings.tables import a_column_a_joint, by_topic, labelled, 
 from realsim.gap.recordings.vocabulary import plain, split_unit
 
 _TAG = re.compile(r'[\w.]+\s*[=:]\s*"?([^",}]+)')
-SUFFIXES = (".csv", ".tsv", ".txt", ".log", ".dat")
+SUFFIXES = (".csv", ".tsv", ".txt", ".log", ".dat", ".lvm")
 
 
 def recognise(path: Path) -> bool:
@@ -103,4 +103,4 @@ def _echoed(path: Path, found: TextTable, window: Window) -> Stream | None:
     return labelled(path, clock, parts, [found.words[n][0] for n in names], window, "sensor_msgs/msg/JointState")
 
 
-READER = Reader("csv", "a .csv, .tsv, .txt, .dat or .log table", recognise, read)
+READER = Reader("csv", "a .csv, .tsv, .txt, .dat, .lvm or .log table", recognise, read)

@@ -13,9 +13,19 @@ import numpy as np
 
 from realsim.core.errors import GapError, extra
 from realsim.core.files import check_size
+from realsim.core.text_table import MAX_WIDTH
 from realsim.core.types import F64
-from realsim.gap.recordings.recording import Reader, Recording, Window, has_suffix, no_samples, readable, refuse_more
-from realsim.gap.recordings.tables import as_long_as_most, table
+from realsim.gap.recordings.recording import (
+    Reader,
+    Recording,
+    Window,
+    facts_of,
+    has_suffix,
+    no_samples,
+    readable,
+    refuse_more,
+)
+from realsim.gap.recordings.tables import as_long_as_most, named, table
 
 MAX_DATASETS = 10_000
 DEEPEST = 12
@@ -26,15 +36,22 @@ def read(path: Path, window: Window) -> list[Recording]:
     h5py = extra("h5py", "logs", "reading HDF5")
     check_size(path)
     with readable(path, "HDF5 file", "groups and datasets"), h5py.File(path, "r") as file:
-        datasets = dict(_datasets(h5py, file, path, "", ()))
+        datasets = {n: d for n, d in _datasets(h5py, file, path, "", ()) if d.dtype.kind in "fiub" or d.dtype.names}
         refuse_more(path, sum(d.size for d in datasets.values()))
-        facts = {n: v.item() for n, v in file.attrs.items() if isinstance(v, np.generic)}
+        lists = [texts for _, d in _datasets(h5py, file, path, "", ()) if (texts := _texts(h5py, file, d))]
+        facts: dict[str, Any] = {n: d[()].item() for n, d in datasets.items() if d.size == 1 and not d.dtype.names}
+        file.visititems(lambda _, item: facts.update(facts_of(item.attrs if isinstance(item, h5py.Group) else {})))
+        facts |= facts_of(file.attrs)
         runs = _runs(datasets)
         columns = {run: as_long_as_most(_numbers(found)) for run, found in runs.items()}
         shapes = {n: str(d.shape) for n, d in list(datasets.items())[:12]}
     found = [
         Recording(
-            path, f"{path.stem}_{run}" if run else path.stem, "hdf5", (table(path, "", c, window=window),), facts=facts
+            path,
+            f"{path.stem}_{run}" if run else path.stem,
+            "hdf5",
+            (named(table(path, "", c, window=window), lists),),
+            facts=facts,
         )
         for run, c in columns.items()
         if c
@@ -45,7 +62,7 @@ def read(path: Path, window: Window) -> list[Recording]:
 
 
 def _datasets(h5py: Any, group: Any, path: Path, place: str, above: tuple[Any, ...]) -> Iterator[tuple[str, Any]]:
-    """(name with dots, dataset) of one or two dimensions below a group, and the fields of tables among them."""
+    """(name with dots, dataset) of up to two dimensions, beside those of length 1, below a group."""
     if len(above) > DEEPEST or group.id in above:
         return
     for number, name in enumerate(group):
@@ -59,11 +76,23 @@ def _datasets(h5py: Any, group: Any, path: Path, place: str, above: tuple[Any, .
         item = group[name]
         if isinstance(item, h5py.Group):
             yield from _datasets(h5py, item, path, full, (*above, group.id))
-        elif isinstance(item, h5py.Dataset) and item.shape and len(item.shape) <= 2:
+        elif isinstance(item, h5py.Dataset) and item.shape is not None and sum(n > 1 for n in item.shape) <= 2:
             if item.external or item.is_virtual:
                 raise _leads_away(path, full, "a dataset whose values lie in other files")
-            if item.dtype.kind in "fiub" or item.dtype.names:
-                yield full, item
+            yield full, item
+
+
+def _texts(h5py: Any, file: Any, dataset: Any) -> tuple[str, ...]:
+    """The words of a list of texts, such as joints' names; nothing of other datasets."""
+    if dataset.dtype.kind not in "OS" or dataset.dtype.names or not 1 < dataset.size <= MAX_WIDTH:
+        return ()
+    cells = dataset[()].ravel()
+    if h5py.check_ref_dtype(dataset.dtype) is h5py.Reference:  # MATLAB's cells
+        inner = [file[cell][()] for cell in cells if cell]
+        return tuple("".join(map(chr, text.ravel())) for text in inner if text.dtype == np.uint16)
+    return tuple(
+        c.decode(errors="replace") if isinstance(c, bytes) else c for c in cells if isinstance(c, (bytes, str))
+    )
 
 
 def _leads_away(path: Path, name: str, found: str) -> GapError:
@@ -99,6 +128,7 @@ def _numbers(datasets: dict[str, Any]) -> dict[str, F64]:
             parts = {f"{name}.{n}": values[n] for n in dataset.dtype.names if dataset.dtype[n].base.kind in "fiub"}
         else:  # MATLAB writes columns as rows
             parts = {name: values.T if "MATLAB_class" in dataset.attrs else values}
+        parts = {n: v if v.ndim <= 2 else v.squeeze() for n, v in parts.items()}
         found |= {n: np.asarray(v, dtype=np.float64) for n, v in parts.items() if v.ndim <= 2}
     return found
 

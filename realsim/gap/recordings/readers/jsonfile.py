@@ -10,8 +10,8 @@ from typing import Any
 
 from realsim.core.errors import GapError
 from realsim.core.files import check_size, read_json
-from realsim.gap.recordings.recording import Reader, Recording, Window, first_line, no_samples, refuse_more
-from realsim.gap.recordings.tables import rows, table
+from realsim.gap.recordings.recording import Reader, Recording, Window, facts_of, first_line, no_samples, refuse_more
+from realsim.gap.recordings.tables import LEAST_CLOCK, rows, table
 
 MAX_BYTES = 512 * 2**20
 MAX_LINES = 4_000_000
@@ -29,8 +29,16 @@ def read(path: Path, window: Window) -> list[Recording]:
     facts: dict[str, Any] = {}
     if path.suffix.lower() == ".json":
         value = read_json(path)
+        facts = facts_of(value) if isinstance(value, dict) else {}
+        if runs := _runs(value):
+            signals = {name: rows(path, _rows(run), notes) for name, run in runs.items()}
+            refuse_more(path, sum(v.size for found in signals.values() for v in found.values()))
+            return [
+                Recording(path, f"{path.stem}_{name}", "json", (table(path, "", found, window=window),),
+                          notes=tuple(notes), facts=facts)
+                for name, found in signals.items()
+            ]  # fmt: skip
         items = _longest(value)
-        facts = {k: v for k, v in value.items() if isinstance(v, (int, float, str))} if isinstance(value, dict) else {}
     else:
         items = list(_lines(path, notes))
     if not items:
@@ -78,8 +86,38 @@ def _longest(value: Any) -> list[Mapping[str, Any]]:
     length = max((len(v) for v in lists.values()), default=0)
     same = {k: v for k, v in lists.items() if len(v) == length}
     if length >= 2 and len(same) >= 2:
-        inner.append([dict(zip(same, row, strict=True)) for row in zip(*same.values(), strict=True)])
+        inner.append(_rows(same))
     return max(inner, key=len, default=[])
+
+
+def _rows(lists: Mapping[str, list[Any]]) -> list[Mapping[str, Any]]:
+    return [dict(zip(lists, row, strict=True)) for row in zip(*lists.values(), strict=True)]
+
+
+def _runs(value: Any) -> dict[str, dict[str, list[Any]]]:
+    """Name -> lists of samples, of records side by side that hold the same ones each: rollouts. Nothing of other JSON.
+
+    Records of lists as long in all, of which there are many, are samples: lists of joints.
+    """
+    numbered = isinstance(value, Mapping) and all(str(k)[-1:].isdigit() for k in value)
+    parts: Mapping[Any, Any] = (
+        dict(enumerate(value)) if isinstance(value, list) else value if isinstance(value, Mapping) else {}
+    )
+    if isinstance(value, list) or numbered:
+        found = {str(k): _samples(v) for k, v in parts.items() if isinstance(v, Mapping)}
+        lengths = {len(next(iter(f.values()))) for f in found.values() if f}
+        alike = len({frozenset(f) for f in found.values()}) == 1
+        if len(found) == len(parts) > 1 and lengths and alike and (len(lengths) > 1 or len(found) < LEAST_CLOCK):
+            return found
+    inner = parts.values() if isinstance(value, Mapping) else ()
+    return next((found for v in inner if (found := _runs(v))), {})
+
+
+def _samples(record: Mapping[str, Any]) -> dict[str, list[Any]]:
+    """The lists of one length in a record, where these are signals."""
+    lists = {k: v for k, v in record.items() if isinstance(v, list) and v and not isinstance(v[0], Mapping)}
+    lengths = {len(v) for v in lists.values()}
+    return lists if len(lists) > 1 and len(lengths) == 1 and min(lengths) >= LEAST_CLOCK else {}
 
 
 def _by_topic(items: list[Mapping[str, Any]]) -> dict[str, list[Mapping[str, Any]]]:

@@ -14,7 +14,7 @@ from realsim.core.errors import GapError
 from realsim.core.files import MAX_BINARY_BYTES, check_size
 from realsim.core.types import F64
 from realsim.gap.recordings.readers import hdf5
-from realsim.gap.recordings.recording import Reader, Recording, Window, has_suffix, readable, refuse_more
+from realsim.gap.recordings.recording import Reader, Recording, Window, facts_of, has_suffix, readable, refuse_more
 from realsim.gap.recordings.tables import as_long_as_most, table
 
 COMPRESSED = 15
@@ -41,7 +41,8 @@ def read(path: Path, window: Window) -> list[Recording]:
         shapes = "; ".join(f"{n} {v.shape}" for n, v in list(found.items())[:12]) or "nothing"
         raise GapError("no arrays with a row a sample", file=path, found=shapes, hint=hint)
     refuse_more(path, sum(v.size for v in columns.values()))
-    return [Recording(path, path.stem, "matlab", (table(path, "", columns, window=window),))]
+    facts = facts_of({n: v for n, v in value.items() if not n.startswith("__")})
+    return [Recording(path, path.stem, "matlab", (table(path, "", columns, window=window),), facts=facts)]
 
 
 def _refuse_bomb(path: Path, order: str) -> None:

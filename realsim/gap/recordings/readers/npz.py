@@ -1,6 +1,5 @@
 """NumPy archives: an array a signal, its rows the samples; or one table `data` with its columns' names in `cols`."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,21 +8,11 @@ import numpy as np
 
 from realsim.core.files import read_npz
 from realsim.core.types import F64
-from realsim.gap.recordings.recording import (
-    Reader,
-    Recording,
-    Stream,
-    Window,
-    has_suffix,
-    no_samples,
-    refuse_more,
-)
-from realsim.gap.recordings.tables import as_long_as_most, table
+from realsim.gap.recordings.recording import Reader, Recording, Window, facts_of, has_suffix, no_samples, refuse_more
+from realsim.gap.recordings.tables import as_long_as_most, named, table
 
 MAX_ROBOTS = 12
 """Robots of one dump that are read, each as a run: those of a simulator are alike, and a search takes few runs."""
-STEPS = ("step_dt", "control_dt", "dt")
-"""Names of the s between two samples, of an archive without a clock."""
 NAMES = ("cols", "columns", "names", "header")
 
 
@@ -32,9 +21,7 @@ def read(path: Path, window: Window) -> list[Recording]:
     texts = {n: v for n, v in arrays.items() if v.dtype.kind in "US"}
     numbers = {n: np.asarray(v, dtype=np.float64) for n, v in arrays.items() if v.dtype.kind in "fiub"}
     facts: dict[str, Any] = {n: v.item() for n, v in numbers.items() if v.size == 1}
-    for name, text in texts.items():
-        if text.ndim == 0:
-            facts |= _said(name, str(text))
+    facts |= facts_of({n: str(v) for n, v in texts.items() if v.ndim == 0})
     if worlds := _worlds(numbers):
         left = (f"{path.name}: {MAX_ROBOTS} of its {len(worlds)} robots were read",) if len(worlds) > MAX_ROBOTS else ()
         return [
@@ -63,15 +50,8 @@ def _recording(
         raise no_samples(path, "arrays with a row a sample", {n: str(v.shape) for n, v in numbers.items()})
     refuse_more(path, sum(v.size for v in columns.values()))
     stream = table(path, "", columns, window=window)
-    labels = next((tuple(map(str, v)) for v in texts.values() if v.ndim == 1 and len(v) > 1), ())
-    fields = {
-        n: replace(f, labels=labels) if not f.labels and f.width == len(labels) else f for n, f in stream.fields.items()
-    }
-    step = next((float(facts[n]) for n in STEPS if n in facts), 0.0)
-    even: dict[str, F64] = {"time": step * np.arange(stream.count, dtype=np.float64)} if step > 0 else {}
-    return Recording(
-        path, path.stem, "npz", (Stream(stream.name, "table", stream.clocks or even, fields),), facts=facts
-    )
+    stream = named(stream, [tuple(map(str, v)) for v in texts.values() if v.ndim == 1])
+    return Recording(path, path.stem, "npz", (stream,), facts=facts)
 
 
 def _table(numbers: dict[str, F64], texts: dict[str, Any]) -> dict[str, F64]:
@@ -84,14 +64,6 @@ def _table(numbers: dict[str, F64], texts: dict[str, Any]) -> dict[str, F64]:
             if values.ndim == 2 and values.shape[1] == len(header):
                 return {str(h): values[:, i] for i, h in enumerate(header)}
     return {}
-
-
-def _said(name: str, text: str) -> dict[str, Any]:
-    try:
-        value = json.loads(text)
-    except (ValueError, RecursionError):
-        return {name: text[:200]}
-    return value if isinstance(value, dict) else {name: value}
 
 
 READER = Reader("npz", "a .npz file", has_suffix(".npz"), read)

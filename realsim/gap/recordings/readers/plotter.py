@@ -16,7 +16,7 @@ from realsim.gap.recordings.recording import Reader, Recording, Window, refuse_m
 from realsim.gap.recordings.tables import table
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-_PAIR = re.compile(rf"([A-Za-z_][\w.\[\]/ ]*?)\s*[:=]\s*({_NUMBER}(?:,{_NUMBER})*)(?=[\s,;]|$)")
+_PAIR = re.compile(rf"([A-Za-z_](?:[\w./ ]|\[[\w./ ]*\])*?)\s*[:=]\s*({_NUMBER}(?:,{_NUMBER})*)(?=[\s,;]|$)")
 LEAST_LINES = 5
 
 
@@ -48,10 +48,10 @@ def _pairs(line: str) -> list[tuple[str, str]]:
 
 
 def _layout(line: str) -> tuple[tuple[str, int], ...]:
-    """(name, how many numbers) of all that a line holds; () for a line of anything else."""
+    """(name, how many numbers) of all that a line holds beside words; () for a line with other numbers."""
     pairs = _pairs(line)
     names = [n for n, _ in pairs]
-    if len(pairs) < 2 or len(set(names)) < len(names) or re.sub(r"[\s,;]", "", _PAIR.sub("", line)):
+    if len(pairs) < 2 or len(set(names)) < len(names) or re.search(r"\d", _PAIR.sub("", line)):
         return ()
     return tuple((n, v.count(",") + 1) for n, v in pairs)
 
