@@ -81,6 +81,7 @@ def position(e: Evidence) -> None:
     if turns:  # joints without ranges are within them in any unit
         doubtful = True
         why += "; in turns they may be, too: give the unit in the column's name, q1 [rad]"
+    doubtful |= unit == "ticks"  # how many a turn has, and where zero is, is nowhere in the data
     signs, turned = _signs(ranges, names, values)
     narrow = _narrow(e.target)
     beyond = _within(ranges, names, values * signs)

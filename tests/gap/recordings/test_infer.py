@@ -43,6 +43,12 @@ def test_unit_of_positions_by_ranges(arm: Log, tmp_path: Path, unit: str, factor
     np.testing.assert_allclose(asked.values(Field(factor * arm.command)), arm.command, atol=1e-9)
 
 
+def test_steps_of_an_encoder_are_in_doubt(arm: Log, tmp_path: Path) -> None:
+    steps = {name: np.round(2048 + v * 4096 / (2 * np.pi)) for name, v in (("q", arm.pos), ("q_des", arm.command))}
+    place = propose([table(arm, **steps)], load_target(save(tmp_path, ARM))).assignments["joint_pos"]
+    assert (place.unit, place.doubtful) == ("ticks", True)
+
+
 @pytest.mark.parametrize(
     ("unit", "factor"), [("rad/s", 1.0), ("deg/s", 180 / np.pi), ("rpm", 30 / np.pi), ("rad/s", -1.0)]
 )
