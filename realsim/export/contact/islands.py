@@ -15,11 +15,11 @@ from realsim.export.contact.undersides import Walls, settle
 
 CELL = 0.005  # metres; of a mesh that is exact as fine as...
 FINEST = 0.0005  # metres; and...
-MOST_FINE = 1_000_000  # cells, unless they are of CELL or more; and...
-WITHIN = 4.0  # cells in its thinnest wall (a round post of 4 has the 12 that make a plane); at least...
-THROUGH = (
-    3.0  # cells by which a hull may stand out where parts are made one, so that no thin wall is filled: glasses of
+MOST_FINE = (
+    1_000_000  # cells, unless they are of CELL or more (set by hand for memory; its gain is not measured); and...
 )
+WITHIN = 4.0  # cells in its thinnest wall (a round post of 4 has the 12 that make a plane); at least...
+THROUGH = 3.0  # cells by which a hull may stand out where parts are made one, so no thin wall is filled: glasses of
 # 2 and 3 mm have 0.6 % of heights off for 7.0 (16 parts for 8); a grating of 5 mm keeps 60 parts, and has 187 with 2
 SHARE = 0.25  # ...this share of a reconstruction's resolution, below which there is nothing to find
 THINNER, SIDES = 2, 2000  # percent of the walls that may be thinner (set on posts of 1.5 cm in a place of 2 m; not
@@ -205,8 +205,8 @@ def _connected(solid: NDArray[np.bool_], top: NDArray[Any], under: NDArray[Any],
     """(rows, columns) number of the island that each cell belongs to, 0 where nothing is `solid`.
 
     Cells side by side are of one island if they meet in height too: what floats over a platform is not the platform's,
-    or its underside, too small for a plane of its own, would go to what is beside it and become a pillar. A strip of
-    less than `narrowest` cells that stands beside what hangs, and is as high, is a column that missed the underside.
+    or its underside, too small for a plane of its own, would go to what is beside it and become a pillar. A strip
+    narrower than `narrowest` cells, beside what floats and as high, is a column of rays that missed the underside.
 
     Args:
         under: (rows, columns) z, -inf where a column stands on the ground.

@@ -27,7 +27,7 @@ ALIKE = 0.98
 AT_ONCE = 5000
 """Points times parts that are compared at a time, some 0.5 MB; the result does not depend on it."""
 SOME = 8
-"""Points that are looked at before the others, where one that is outside decides."""
+"""Points that are looked at before the others, where one that is outside decides; the result does not depend on it."""
 MOST_CORNERS = 64
 """Of one part; colliders on a GPU take no more."""
 
