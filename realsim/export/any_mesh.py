@@ -121,7 +121,7 @@ def contact_verdict(contact: Mapping[str, Any], tolerance: tuple[float, float]) 
     if contact.get("free_sides_cm2", 0.0) > FREE:
         where = ", ".join(f"{v:.2f}" for v in contact["free_sides_at"])
         look.append(
-            f"{contact['free_sides_cm2']:.0f} cm2 of the sides of a part stand in free air, at ({where}): nothing is there."
+            f"{contact['free_sides_cm2']:.0f} cm2 of a part's sides stand in free air, about ({where})."
         )
     off = [(name, share, check, reject) for name, share, check, reject in shares(contact) if not share <= check]
     for name, share, check, reject in off:
