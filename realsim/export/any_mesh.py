@@ -120,9 +120,7 @@ def contact_verdict(contact: Mapping[str, Any], tolerance: tuple[float, float]) 
         look.append(f"{contact['phantom_over_gaps_cm2']:.0f} cm2 of contact surface span gaps that a foot fits in.")
     if contact.get("free_sides_cm2", 0.0) > FREE:
         where = ", ".join(f"{v:.2f}" for v in contact["free_sides_at"])
-        look.append(
-            f"{contact['free_sides_cm2']:.0f} cm2 of a part's sides stand in free air, about ({where})."
-        )
+        look.append(f"{contact['free_sides_cm2']:.0f} cm2 of a part's sides stand in free air, about ({where}).")
     off = [(name, share, check, reject) for name, share, check, reject in shares(contact) if not share <= check]
     for name, share, check, reject in off:
         most, said = (check, look) if share <= reject else (reject, bad)
