@@ -126,6 +126,20 @@ def test_limits_of_a_urdf_are_taken(tmp_path: Path) -> None:
     np.testing.assert_allclose(robot.lower[1::2], -2.5)
 
 
+def test_a_mass_without_inertia_takes_that_of_its_shape(tmp_path: Path) -> None:
+    model = made(tmp_path, urdf().replace('ixx="0.002" iyy="0.002" izz="0.002"', 'ixx="0" iyy="0" izz="0"'), "dog.urdf")
+    thigh = model.robot.spec.compile().body("FL_up")
+    assert thigh.mass == pytest.approx(0.6)
+    np.testing.assert_allclose(np.sort(thigh.inertia), 0.6 / 12 * np.array([0.0018, 0.0109, 0.0109]), rtol=1e-3)
+
+
+def test_feet_stand_below_hips_that_turn_without_limit(tmp_path: Path) -> None:
+    limited = made(tmp_path, urdf(), "dog.urdf").default
+    free = made(tmp_path, urdf().replace('lower="-1" upper="2"', ""), "dog.urdf").default
+    np.testing.assert_allclose(free, limited, atol=0.01)
+    assert abs(free[0]) > 0.3
+
+
 def test_wheels_at_the_feet_are_locked(tmp_path: Path) -> None:
     end = '<origin xyz="0 0 -0.2"/>'
     rolling = (

@@ -60,7 +60,8 @@ def _new(model: Path, out: Path, overwrite: bool) -> CommandResult:
     try:
         load(out)
     except RealsimError as error:
-        lines.append(f"to correct     {error.message}: {error.found or error.expected}. {error.hint or ''}".rstrip())
+        what = ": ".join(filter(None, (error.message, error.found or error.expected)))
+        lines.append(f"to correct     {what}. {error.hint or ''}".rstrip())
     return CommandResult(
         "\n".join([*lines, f"robot          {out}: correct it, then realsim robot check {out}"]),
         {"file": str(out), "robot": asdict(found), "reasons": reasons},

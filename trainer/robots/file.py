@@ -13,6 +13,7 @@ import numpy as np
 from realsim.core.files import read_text
 from realsim.core.geometry import R_to_quat, quat_to_R
 from realsim.core.mjcf import check_mjcf
+from realsim.core.progress import note
 from realsim.core.types import F64
 from realsim.robots.base import Robot, add_camera, add_servo
 from trainer.errors import TrainerError
@@ -172,10 +173,32 @@ def opened(path: Path) -> Any:
     for kind, items in (("body", spec.bodies[1:]), ("joint", spec.joints)):
         for k, item in enumerate(items):
             item.name = item.name or f"{kind}{k}"
+    _inertia_of_shapes(spec)
     return spec
 
 
-def compiled(spec: Any, path: Path) -> Any:
+def _inertia_of_shapes(spec: Any) -> None:
+    """Bodies of a URDF that give a mass and zeros for its inertia get that of their shapes, as simulators do that
+    take inertia from shapes anyway (PyBullet)."""
+    bare = [b for b in spec.bodies[1:] if b.explicitinertial and b.geoms and b.mass > 0 and _is_zero(b)]
+    if not bare:
+        return
+    shapes = spec.copy()
+    for body in bare:
+        shapes.body(body.name).explicitinertial, shapes.body(body.name).ipos = False, [np.nan] * 3
+    model = compiled(shapes)
+    for body in bare:
+        shape = model.body(body.name)
+        body.inertia, body.iquat = shape.inertia * body.mass / shape.mass[0], shape.iquat
+    names = ", ".join(body.name for body in bare)
+    note(f"inertia of {names}: from their shapes, the model gives a mass and zeros")
+
+
+def _is_zero(body: Any) -> bool:
+    return not (np.any(body.inertia) or np.any(np.nan_to_num(body.fullinertia)))
+
+
+def compiled(spec: Any, path: Path | None = None) -> Any:
     """The compiled model.
 
     Raises:

@@ -157,10 +157,10 @@ def _feet_below_hips(model: Any, home: dict[str, float], feet: tuple[str, ...]) 
         pitch = [n for n in joints_above(model, foot) if n in home and abs(data.joint(n).xaxis[1]) > _ALONG_Y]
         if len(pitch) != 2:
             continue
-        low, high = model.joint(pitch[0]).range
+        low, high = model.joint(pitch[0]).range if model.joint(pitch[0]).limited else (-np.pi, np.pi)
         off, joint, adr = {}, data.joint(pitch[0]), int(model.joint(pitch[0]).qposadr[0])
         geoms = [g for g in range(model.ngeom) if model.body(foot).id == model.geom_bodyid[g]]
-        for angle in np.linspace(max(low, -1.5), min(high, 1.5), 301) if low < high else ():
+        for angle in np.linspace(max(low, -1.5), min(high, 1.5), 301):
             data.qpos[adr] = angle
             mujoco.mj_kinematics(model, data)
             tip = min((_centre(model, data, g) for g in geoms), key=lambda x: float(x[2]))
