@@ -5,6 +5,7 @@ minutes and gigabytes. What a file becomes is counted before.
 """
 
 import math
+import os
 import re
 from pathlib import Path
 from typing import Any
@@ -46,6 +47,21 @@ def check_mjcf(
             hint="lower the counts of replicate and composite",
         )
     return text
+
+
+def find_packages(spec: Any, path: Path) -> None:
+    """Give the meshes of a model that names them by `package://NAME/...`, as URDFs do, the files that are meant.
+
+    They are looked for without ROS: from the folder of the model upward, and in ROS_PACKAGE_PATH, with NAME and
+    without it. What is not found keeps its name, and MuJoCo says that it cannot open it.
+    """
+    places = [*path.resolve().parents, *map(Path, filter(None, os.environ.get("ROS_PACKAGE_PATH", "").split(":")))]
+    for mesh in spec.meshes:
+        parts = Path(mesh.file.removeprefix("package://")).parts
+        if mesh.file.startswith("package://") and ".." not in parts:
+            files = (place.joinpath(*rest) for place in places for rest in (parts, parts[1:]))
+            if found := next(filter(os.path.isfile, files), None):
+                mesh.file = str(found)
 
 
 class _Checker:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from realsim.core.errors import GapError
-from realsim.core.mjcf import check_mjcf
+from realsim.core.mjcf import check_mjcf, find_packages
 
 NEVER_INFINITE = ("body_", "dof_", "geom_", "jnt_pos", "jnt_axis", "site_", "qpos0", "key_", "actuator_gear", "mesh_")
 """Fields, by how their names begin, of which an infinite one is damage; limits and ranges may be infinite."""
@@ -55,16 +55,22 @@ def load_mjcf(
     text = check_mjcf(path, root, GapError)
     try:
         spec = mujoco.MjSpec.from_file(str(path))
+        if root is None:
+            find_packages(spec, path)
         copied = spec.copy()
         if any(len(getattr(copied, part)) != len(getattr(spec, part)) for part in REFERRING):
             spec.compile()  # which says what is missing
         prepare(spec)
         model = spec.copy().compile()
+    except GapError:
+        raise
     except Exception as error:  # MuJoCo raises ValueError and its own types
         found = str(error).splitlines()[0][:200]
         hint = f"mend it until MuJoCo loads it: python -m mujoco.viewer --mjcf={path}"
         if "opening file" in found:
             hint = "copy the robot's meshes to where the model looks for them, or take out the geoms that need them"
+        if "balanceinertia" in found:
+            hint = 'correct its inertia, or add <mujoco><compiler balanceinertia="true"/></mujoco> to the model'
         raise GapError("the model does not compile", file=path, found=found, hint=hint) from error
     if (odd := odd_number(model)) is not None:
         expected = "finite numbers of a robot's size"

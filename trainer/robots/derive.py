@@ -42,7 +42,7 @@ def derived(
         groups: joints by part of the body, for the log; legs and what is above them if not given.
 
     Raises:
-        TrainerError: no joint is the mirror image of another; it is named.
+        TrainerError: no joint moves the feet, or one has no mirror image; it is named.
     """
     model = robot.spec.compile()
     data = mujoco.MjData(model)
@@ -53,6 +53,11 @@ def derived(
     number = {name: k for k, name in enumerate(joints)}
     paths = leg_paths(model, feet)
     legs = tuple(sorted({number[name] for path in paths for name in path}))
+    if not legs:
+        raise TrainerError(
+            "no joint moves the feet", expected="hinges between the base and each foot", found=", ".join(feet),
+            hint="correct the feet, or what is locked",
+        )  # fmt: skip
     turned = tuple(sorted(number[name] for name in (hip_joints(data, paths) if hips is None else hips)))
     kp, effort = model.actuator_gainprm[:, 0].copy(), model.actuator_forcerange[:, 1].copy()
     rest = tuple(j for j in range(len(joints)) if j not in legs)

@@ -12,7 +12,7 @@ import numpy as np
 
 from realsim.core.files import read_text
 from realsim.core.geometry import R_to_quat, quat_to_R
-from realsim.core.mjcf import check_mjcf
+from realsim.core.mjcf import check_mjcf, find_packages
 from realsim.core.progress import note
 from realsim.core.types import F64
 from realsim.robots.base import Robot, add_camera, add_servo
@@ -170,6 +170,7 @@ def opened(path: Path) -> Any:
             "MuJoCo cannot read the model", file=path, expected="MJCF or URDF", found=str(error).splitlines()[0]
         ) from error
     spec.compiler.fusestatic = False  # URDF: its first link would become part of the world
+    find_packages(spec, path)
     for kind, items in (("body", spec.bodies[1:]), ("joint", spec.joints)):
         for k, item in enumerate(items):
             item.name = item.name or f"{kind}{k}"

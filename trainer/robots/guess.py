@@ -67,8 +67,9 @@ def guess(path: Path, out: Path) -> tuple[RobotFile, dict[str, str]]:
     feet, reasons["feet"] = _feet(model, in_pose(model, home))
     if not feet:
         raise TrainerError(
-            "no pair of feet was found: the robot walks on nothing", file=path, expected=reasons["feet"], found="none"
-        )
+            "no pair of feet was found: the robot walks on nothing", file=path, expected=reasons["feet"], found="none",
+            hint="in the model x must be ahead and z up (the origin of the first joint can turn it)",
+        )  # fmt: skip
     moved = {n: model.body(int(model.jnt_bodyid[model.joint(n).id])).name for n in hinges}
     wheels = [n for n in hinges if not model.jnt_limited[model.joint(n).id] and moved[n] in feet]
     if wheels:

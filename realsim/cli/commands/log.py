@@ -14,6 +14,7 @@ from realsim.core.files import write_text
 def log(
     recording: Annotated[Path, tyro.conf.Positional],
     model: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+    servos: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="KP KD")] = None,
     out: Path | None = None,
     use: Annotated[tuple[str, ...], tyro.conf.arg(metavar="ROLE=FIELD")] = (),
     rate: float | None = None,
@@ -31,6 +32,8 @@ def log(
         recording: a file or a folder: MCAP, ROS bag, LeRobot, parquet, CSV, JSON, ULog, Rerun, npz; a folder of files
             is runs.
         model: MJCF (or URDF) of the robot; order, units and signs of the joints are tested against it.
+        servos: of a model without actuators, as URDFs are: gains of a position servo at each joint, N m/rad and N m
+            s/rad. The diagnosis corrects them.
         out: where the case for `realsim diagnose` goes; without it nothing is written.
         use: overrides a guess: "joint_pos=STREAM:FIELD" or "joint_pos=COLUMN,COLUMN" (a leading - negates a column),
             time=COLUMN, or ROLE=none; ROLE is command, joint_pos, joint_vel, ...
@@ -52,7 +55,7 @@ def log(
 
     if out is not None and model is None:
         raise GapError("a case needs a model", expected="realsim log RECORDING --model robot.xml --out case")
-    target = logs.load_target(model) if model is not None else None
+    target = logs.load_target(model, servos) if model is not None else None
     world = logs.load_world(scene) if scene is not None else None
     recordings = logs.read(recording, Window(skip, seconds))
     if rate is not None:

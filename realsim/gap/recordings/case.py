@@ -44,7 +44,7 @@ def write_case(
         check: reads the finished folder, such as `realsim.gap.load_case`. What it refuses is not left behind.
 
     Raises:
-        GapError: no command or no positions, or no run that has them; what `check` says.
+        GapError: no command or no positions, no run that has them, a model without actuators; what `check` says.
     """
     if not proposal.complete:
         raise GapError(
@@ -54,6 +54,11 @@ def write_case(
             found=f"{'; '.join(proposal.missing[:2])}; recorded: {_recorded(proposal)}",
             hint="`realsim log` without --out shows what was understood; --use ROLE=FIELD (or COLUMN,...) names it",
         )
+    if not target.actuators:
+        raise GapError(
+            "the model has no actuators", file=target.path, expected="the robot's servos",
+            hint="realsim log ... --servos KP KD (N m/rad, N m s/rad) gives each joint one; a URDF has none",
+        )  # fmt: skip
     said: list[str] = []
     with output_folder(Path(out), overwrite=overwrite, source=proposal.recordings[0].path) as work:
         (work / "runs").mkdir()
@@ -151,6 +156,7 @@ def _write_model(target: Target, work: Path) -> None:
             shutil.copyfile(source, place)
         element.file = name
     spec.meshdir = spec.texturedir = ""
+    spec.modelfiledir = str(work)  # a URDF reads its meshes anew to be written
     write_text(work / "model.xml", spec.to_xml())
 
 

@@ -11,10 +11,13 @@ from realsim.core.files import check_size
 from realsim.core.models import load_mjcf
 from realsim.core.types import F64, MjModel, MjSpec
 from realsim.gap.recordings.vocabulary import english
+from realsim.robots.base import add_servo
 
 MAX_MODEL_BYTES = 64 * 2**20
 MODELS_ORDER = "the model's order"
 ALPHABETICAL = "alphabetical"
+UNLIMITED = 1e6
+"""N m of a servo at a joint without a limit of torque."""
 FOOT_HEIGHT = 0.05
 """m above the lowest leaf body in the reference pose up to which a leaf is taken for a foot."""
 
@@ -188,13 +191,21 @@ class Target:
         return heights
 
 
-def load_target(path: Path) -> Target:
-    """A model file (MJCF or URDF) as what logs are held against. Raises GapError where it does not compile."""
+def load_target(path: Path, servos: tuple[float, float] | None = None) -> Target:
+    """A model file (MJCF or URDF) as what logs are held against.
+
+    Args:
+        servos: kp in N m/rad and kd in N m s/rad of a position servo at each hinge and slide, of a model without
+            actuators, as URDFs are.
+
+    Raises:
+        GapError: the model does not compile, or has actuators beside these servos.
+    """
     import mujoco
 
     path = Path(path)
     check_size(path, MAX_MODEL_BYTES)
-    spec, model, _ = load_mjcf(path)
+    spec, model, _ = load_mjcf(path, prepare=lambda spec: _add_servos(spec, path, servos) if servos else None)
     spec.compile()  # so that it can be written as XML
     joints = tuple(model.joint(i).name for i in range(model.njnt) if model.jnt_type[i] in (2, 3))
     free = any(model.jnt_type == 0)
@@ -210,3 +221,19 @@ def load_target(path: Path) -> Target:
         for i in range(model.nu)
     )  # fmt: skip
     return Target(path, spec, model, joints, actuators, driven)
+
+
+def _add_servos(spec: MjSpec, path: Path, servos: tuple[float, float]) -> None:
+    import mujoco
+
+    if spec.actuators:
+        found = f"{len(spec.actuators)} actuators"
+        raise GapError("the model has servos of its own", file=path, expected="none, with --servos", found=found)
+    kp, kd = servos
+    if not (0 < kp < np.inf and 0 <= kd < np.inf):
+        raise GapError("--servos are no gains", expected="KP above 0, KD of 0 or more", found=f"{kp:g} {kd:g}")
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST  # damping of a servo that is large for its link
+    for joint in spec.joints:
+        if joint.type in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
+            effort = joint.actfrcrange[1] if joint.actfrcrange[0] < joint.actfrcrange[1] else UNLIMITED
+            add_servo(spec, joint.name, kp, kd, effort)

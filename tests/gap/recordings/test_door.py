@@ -8,10 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from realsim.core.errors import GapError
 from realsim.core.recognise import TAKES, explain
-from realsim.gap.recordings import load_target, propose, read
+from realsim.gap import load_case
+from realsim.gap.recordings import load_target, propose, read, write_case
 from realsim.gap.recordings.arrays import run_arrays
 from realsim.gap.recordings.vocabulary import english, split_unit
 
@@ -456,3 +458,31 @@ def test_a_file_a_motor_is_one_run_where_their_clock_says_so(arm: Log, tmp_path:
     assert found.assignments["joint_pos"].targets == ("shoulder_joint", "elbow_joint")
     arrays = run_arrays(found, found.recordings[0]).arrays
     np.testing.assert_allclose(arrays["joint_pos"][5:-5], arm.pos[5 : len(arrays["time"]) - 5], atol=0.05)
+
+
+URDF = """<robot name="arm"><link name="base"/><link name="upper"><inertial><mass value="1"/><origin xyz="0 0 -0.2"/>
+<inertia ixx="0.02" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial>
+<collision><geometry><mesh filename="package://arm_description/meshes/upper.stl"/></geometry></collision></link>
+<joint name="shoulder_joint" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 1 0"/>
+<limit lower="-3" upper="3" effort="20" velocity="5"/></joint></robot>"""
+
+
+def test_a_urdf_of_ros_gets_servos_and_its_meshes(arm: Log, tmp_path: Path) -> None:
+    """It has no actuators, and names its meshes by the package that they are in."""
+    package = tmp_path / "arm_description"
+    (package / "urdf").mkdir(parents=True)
+    (package / "meshes").mkdir()
+    trimesh.creation.box((0.1, 0.1, 0.4)).export(package / "meshes" / "upper.stl")
+    model = package / "urdf" / "arm.urdf"
+    model.write_text(URDF)
+    table = write(tmp_path / "a.csv", "time,command,position", arm.time, arm.command[:, 0], arm.pos[:, 0])
+    with pytest.raises(GapError, match=r"no actuators[^$]*--servos KP KD"):
+        write_case(propose(read(table), bare := load_target(model)), bare, tmp_path / "none")
+    target = load_target(model, servos=(40, 2))
+    write_case(propose(read(table), target), target, tmp_path / "case")
+    made = load_case(tmp_path / "case").model
+    np.testing.assert_allclose([made.actuator_gainprm[0, 0], *made.actuator_forcerange[0]], [40, -20, 20])
+    assert made.nmesh == 1
+    for wrong, servos in ((model, (0, 1)), (tmp_path / "case" / "model.xml", (40, 2))):
+        with pytest.raises(GapError, match="servos"):
+            load_target(wrong, servos)
