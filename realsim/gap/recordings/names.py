@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from realsim.core.types import F64
-from realsim.gap.recordings.vocabulary import SIGNALS, TIMES, english, plain, time_unit, unit_of
+from realsim.gap.recordings.vocabulary import KINDS, SIGNALS, TIMES, english, plain, time_unit, unit_of
 
 JOINTS = ("joint_pos", "joint_vel", "joint_torque")
 ROLES = ("command", "enabled", *JOINTS, "base_pos", "base_quat", "imu_gyro", "imu_acc", "contact", "policy_command")
@@ -142,8 +142,11 @@ def meaning(stream: str, kind: str, member: str) -> tuple[str, str, str]:
         return "", "", ""  # the type is known, and this member is none of these
     unit = unit_of(member) or next((u for name, u in IN_TURNS.items() if name in plain(member)), "")
     above, _, ending = member.rpartition(".")
-    found = english(member if ending in ("data", "values", "value") else ending)
-    if is_other(member if ending in ("data", "values", "value") else ending):
+    over = set(english(above.rpartition(".")[2])) & {"target", *KINDS} and not set(english(ending)) & set(SIGNALS)
+    if ending in ("data", "values", "value") or over:
+        ending = member  # `position.left_knee`: what it is stands before whose it is
+    found = english(ending)
+    if is_other(ending):
         return "", "", ""
     text = "_".join(w for w in found if w != "target")
     role = next((r for r, pattern in _WORDS if re.search(pattern, text)), "")

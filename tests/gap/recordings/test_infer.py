@@ -470,3 +470,11 @@ def test_drives_that_are_off(arm: Log, tmp_path: Path) -> None:
     odd = propose([table(arm, q=arm.pos, q_des=arm.command, torque_enable=7 * on[:, None])], target)
     assert "enabled" not in odd.assignments
     assert any("torque_enable is not 0 and 1" in w for w in odd.warnings)
+
+
+@pytest.mark.parametrize(("name", "role"), [
+    ("position.left_knee", "joint_pos"), ("reference.left_knee", "command"), ("effort.left_knee", "joint_torque"),
+    ("left_knee.position", "joint_pos"), ("imu_state.rpy", ""), ("motor_state.mode", ""),
+])  # fmt: skip
+def test_what_a_signal_is_may_stand_before_or_after_whose_it_is(name: str, role: str) -> None:
+    assert meaning("", "table", name)[0] == role
