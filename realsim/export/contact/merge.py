@@ -93,7 +93,7 @@ class Whole:
         while len(near) and len(left) > most:
             some = 1 + AT_ONCE // len(left)
             planes = [self.parts[k].planes for k in near[:some]]
-            left = left[(farthest(left, planes) > margin).all(1)]
+            left = left[(farthest(left, planes) > margin).all(0)]
             near = near[some:]
         return left
 

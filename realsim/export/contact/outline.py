@@ -74,8 +74,11 @@ def _line(points: F64) -> tuple[F64, F64]:
     do not count."""
     inner = points[2:-2] if len(points) > 8 else points
     middle = inner.mean(0)
-    direction = np.linalg.svd(inner - middle, full_matrices=False)[2][0] if len(inner) > 1 else points[-1] - points[0]
-    return middle, direction
+    if len(inner) < 2:
+        return middle, points[-1] - points[0]
+    x, y = (inner - middle).T
+    along = np.arctan2(2 * (x @ y), x @ x - y @ y) / 2  # of the larger principal axis
+    return middle, np.array([np.cos(along), np.sin(along)])
 
 
 def _sharpen(

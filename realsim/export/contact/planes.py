@@ -165,7 +165,7 @@ def _grow(
 
 def heights(plane: F64, shape: tuple[int, int]) -> F64:
     """(rows, columns) z of a plane a b c."""
-    rows, columns = np.indices(shape)
+    rows, columns = np.indices(shape, sparse=True)
     return plane[0] * columns + plane[1] * rows + plane[2]
 
 
@@ -229,11 +229,14 @@ def spread(labels: I64, inside: NDArray[np.bool_], cost: Misfit, outside: F64 | 
 
 def _fit(z: F64, where: NDArray[np.bool_]) -> F64:
     """Least-squares a b c over the cells of a mask."""
-    rows, columns = np.nonzero(where)
-    r0, c0 = rows.mean(), columns.mean()
-    A = np.stack([columns - c0, rows - r0, np.ones(len(rows))], 1)
-    a, b, c = np.linalg.lstsq(A, z[where], rcond=None)[0]
-    return np.array([a, b, c - a * c0 - b * r0])
+    rows, columns = np.indices(z.shape, sparse=True)
+    of_row, of_column, n = where.sum(1), where.sum(0), int(where.sum())
+    r0, c0, mean = float(of_row @ rows[:, 0]) / n, float(of_column @ columns[0]) / n, float(z.sum(where=where)) / n
+    r, c, height = rows[:, 0] - r0, columns[0] - c0, np.where(where, z - mean, 0.0)
+    both = float(r @ (where @ c))
+    moments = np.array([[of_column @ c**2, both], [both, of_row @ r**2]])
+    a, b = np.linalg.lstsq(moments, [height.sum(0) @ c, height.sum(1) @ r], rcond=None)[0]
+    return np.array([a, b, mean - a * c0 - b * r0])
 
 
 def _off(z: F64, plane: F64, cell: float) -> F64:

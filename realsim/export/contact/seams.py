@@ -135,8 +135,8 @@ def _covers(parts: list[Polytope], near: Neighbours, i: int, face: Face) -> Iter
         cosine = float(back.normal @ face.normal)
         if cosine > -OPPOSED:
             continue
-        close = clip(outline, hull(other.section(face, GAP)))
-        if _width(close) <= NARROW:
+        section = other.section(face, GAP)
+        if not len(section) or _apart(outline, section) or _width(close := clip(outline, hull(section))) <= NARROW:
             continue
         into = float(((face.lifted(close) @ back.normal + back.offset) / cosine).min())
         if into > DEEP:
@@ -212,7 +212,7 @@ def _spanned(parts: list[Polytope], near: Neighbours, cover: _Cover) -> bool:
 
 def _held(core: F64, parts: list[Polytope]) -> bool:
     """Whether one of some parts holds all points (N, 3)."""
-    return bool(parts and (farthest(core, [part.planes for part in parts]) <= GAP).all(0).any())
+    return bool(parts and (farthest(core, [part.planes for part in parts]) <= GAP).all(1).any())
 
 
 def clip(outline: F64, other: F64) -> F64:
@@ -222,6 +222,12 @@ def clip(outline: F64, other: F64) -> F64:
     for a, b in zip(other, [*other[1:], other[0]], strict=True):
         outline = _cut(outline, (b[1] - a[1]) * (outline[:, 0] - a[0]) - (b[0] - a[0]) * (outline[:, 1] - a[1]))
     return hull(outline)
+
+
+def _apart(outline: F64, points: F64) -> bool:
+    """Whether all points (N, 2) lie outside one side of an outline (K, 2) as `hull` makes it."""
+    (x, y), (dx, dy) = outline.T[..., None], (np.roll(outline, -1, 0) - outline).T[..., None]
+    return bool((dy * (points[:, 0] - x) - dx * (points[:, 1] - y) > 0).all(1).any())
 
 
 def _cut(outline: F64, outside: F64) -> F64:
