@@ -5,8 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from realsim.core.meshes import compact
 from realsim.core.rays import Rays
 from realsim.core.types import F64
+from realsim.export.contact.outline import area
 
 # Evidence for z against y in nats. Set on 32 meshes of furniture, stairs and terrains in both frames, with and without
 # their base at zero (benchmarks/contact/clean_meshes.py --up), and on two files of phones and Blender.
@@ -20,9 +22,19 @@ above the lowest point where nothing stands higher."""
 BASE = 1.5
 """For a mesh whose numbers begin at 0 along one axis and not along the other, with triangles there: modellers stand
 things on zero. The edge of a grid that begins there has none."""
+BEARING, OF_HEIGHT = 1.0, 0.01
+"""For the base that it stands on: what the lowest points (of that share of the height) span of the plan, each a tenth
+more, as the log of their ratio."""
+WAYS = 32  # directions in which that hull is looked at
+MIRROR, SLACK = 0.75, 0.005
+"""For being its own mirror image along the other axis and not along this: what stands is mirrored in upright planes. By
+how far the mirror image is off on average, with that slack, in sizes.
+These two and CLEAR were chosen of 48 triples on 41 meshes of ten public packages, as they are and turned: of 82, 58 are
+right for 41, 9 asked with the wrong axis first for 12, 2 wrong unasked for 5. On 40 meshes where they were not set, 77
+of 80 are right for 75."""
 HABIT = 0.75
 """For z in STL, PLY, OBJ and OFF (most have it so, and phones and Blender write y); twice as much for y in GLB."""
-CLEAR = 0.9
+CLEAR = 1.2
 """What is less is a question."""
 PROBES = 2000
 """Points at which the surface that faces up is tested for lying within another solid."""
@@ -56,19 +68,19 @@ def find_up(vertices: F64, triangles: NDArray[np.int64], suffix: str) -> Up:
         suffix: of the file, lower case.
     """
     named = triangles[((triangles >= 0) & (triangles < len(vertices))).all(1)]
+    named = named[np.isfinite(vertices).all(1)[named].all(1)]
     corners = vertices[named]
-    corners = corners[np.isfinite(corners).all((1, 2))]
     habit = -2 * HABIT if suffix == ".glb" else HABIT
     usual = "z" if habit > 0 else "y"
-    if not len(corners):
-        return Up(usual)
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
-    area = float(np.linalg.norm(cross, axis=1).sum())
+    whole = float(np.linalg.norm(cross, axis=1).sum())
+    if not whole:
+        return Up(usual)
     volume = float(np.einsum("ij,ij->", corners[:, 0] - corners.reshape(-1, 3).mean(0), cross))
-    closed = float(np.linalg.norm(cross.sum(0))) < CLOSED * area
-    solids = Rays(corners.reshape(-1, 3), np.arange(corners.size // 3).reshape(-1, 3)) if closed else None
-    z, y = (_facing_up(corners, cross, axis, solids) for axis in (2, 1))
-    turned_z, turned_y = (_facing_up(corners, -cross, axis, solids) for axis in (2, 1))
+    closed = float(np.linalg.norm(cross.sum(0))) < CLOSED * whole
+    surface = Rays(*compact(vertices, named))
+    z, y = (_facing_up(corners, cross, axis, surface if closed else None) for axis in (2, 1))
+    turned_z, turned_y = (_facing_up(corners, -cross, axis, surface if closed else None) for axis in (2, 1))
     # An open surface has no volume: it faces the way in which more of it can be walked on.
     inside_out = volume < 0 if closed else turned_z.area + turned_y.area > z.area + y.area
     if inside_out:
@@ -76,6 +88,9 @@ def find_up(vertices: F64, triangles: NDArray[np.int64], suffix: str) -> Up:
     ratio = float(np.log((z.area + 1e-9) / (y.area + 1e-9)))
     evidence = habit + (ratio if abs(ratio) > EDGEWISE else float(np.clip(ratio, -AREA, AREA)))
     evidence += FLOOR * (int(z.floor) - int(y.floor)) + BASE * (int(z.base) - int(y.base))
+    bears_z, bears_y = (0.1 + _bearing(corners, axis) for axis in (2, 1))
+    off_z, off_y = _off_mirrored(corners, cross, surface)
+    evidence += BEARING * np.log(bears_z / bears_y) + MIRROR * (off_z - off_y) / (off_z + off_y + SLACK)
     axis = "z" if evidence > 0 else "y"
     areas = f"{float(f'{z.area:.2g}'):g} m2 face up along z, {float(f'{y.area:.2g}'):g} m2 along y"
     if abs(evidence) < CLEAR:
@@ -113,15 +128,39 @@ def _facing_up(corners: F64, cross: F64, axis: int, solids: Rays | None) -> _Fac
     return _FacingUp(free * float(area[up].sum()), bool(area[at_bottom].sum() > 0.5 * footprint), base)
 
 
+def _bearing(corners: F64, axis: int) -> float:
+    """Share of the plan that the hull of the lowest points covers."""
+    points = corners.reshape(-1, 3)
+    plan, heights = np.delete(points, axis, 1), points[:, axis]
+    low = plan[heights <= heights.min() + OF_HEIGHT * np.ptp(heights)]
+    around = np.linspace(0, 2 * np.pi, WAYS, endpoint=False)
+    outline = np.array([low[np.argmax(low @ [np.cos(a), np.sin(a)])] for a in around])
+    return abs(area(outline)) / max(float(np.ptp(plan, axis=0).prod()), 1e-30)
+
+
+def _off_mirrored(corners: F64, cross: F64, surface: Rays) -> tuple[float, float]:
+    """How far the surface's mirror images along z and along y are off it, on average, in parts of its size."""
+    weights = np.linalg.norm(cross, axis=1)
+    points, _ = _scattered(corners, weights)
+    low, high = corners.min((0, 1)), corners.max((0, 1))
+    off = [surface.distance(np.where(np.arange(3) == axis, low + high - points, points)).mean() for axis in (2, 1)]
+    return float(off[0] / np.ptp([low, high], 0).max()), float(off[1] / np.ptp([low, high], 0).max())
+
+
+def _scattered(corners: F64, weights: F64) -> tuple[F64, NDArray[np.int64]]:
+    """((PROBES, 3) points of triangles drawn by weights (K,), and the triangles)."""
+    rng = np.random.default_rng(0)
+    chosen = rng.choice(len(weights), PROBES, p=weights / weights.sum())
+    return np.einsum("nk,nkj->nj", rng.dirichlet(np.ones(3), PROBES), corners[chosen]), chosen
+
+
 def _outside(corners: F64, cross: F64, weights: F64, solids: Rays) -> float:
     """Share of an area, by weights (K,) of its triangles, within no other solid: from within one, a ray outward
     leaves more surfaces than it enters."""
     if not weights.any():
         return 1.0
-    rng = np.random.default_rng(0)
-    chosen = rng.choice(len(weights), PROBES, p=weights / weights.sum())
+    points, chosen = _scattered(corners, weights)
     outward = cross[chosen] / np.linalg.norm(cross[chosen], axis=1, keepdims=True)
-    points = np.einsum("nk,nkj->nj", rng.dirichlet(np.ones(3), PROBES), corners[chosen])
     ray, _, triangle = solids.crossings(points + 1e-4 * np.ptp(points, 0).max() * outward, outward)
     leaving = np.sign(np.einsum("nj,nj->n", cross[triangle], outward[ray]))
     return float((np.bincount(ray, leaving, PROBES) < 0.5).mean())
