@@ -17,11 +17,12 @@ from realsim.core.types import TerrainMesh
 from realsim.export import contact_mesh
 from realsim.export.config import SceneConfig
 from realsim.export.contact.boxes import boxes
-from realsim.export.contact.choose import is_exact
+from realsim.export.contact.choose import fit_contact, is_exact
 from realsim.export.contact.islands import terrain
 from realsim.export.contact.probe import BALL, SimTouch, spec_of
 from realsim.export.contact.seams import parts_of
 from realsim.export.contact.shape import Shape
+from realsim.export.contact.sheets import sheets
 from realsim.export.ground import ground_level
 from realsim.export.mend import mend, read_mesh
 from realsim.export.pieces import convex_solids, without_twins
@@ -154,6 +155,46 @@ def test_up_is_found_whatever_the_format(tmp_path: Path, suffix: str) -> None:
             )
 
 
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_table_without_its_top_stands_on_its_feet(tmp_path: Path, turned: bool) -> None:
+    """Two ends of boards and a rail offer more to walk on when they lie on their side."""
+    ends = [((x, y, 0.35), (0.05, 0.1, 0.7)) for x in (-0.65, 0.65) for y in (-0.33, 0.33)]
+    rails = [((x, 0, 0.65), (0.05, 0.76, 0.1)) for x in (-0.65, 0.65)]
+    mesh = put_together(*ends, *rails, *(((0, y, 0.6), (1.3, 0.03, 0.2)) for y in (-0.33, 0.33)))
+    x, y, z = np.asarray(mesh.vertices).T - np.array([[0.0], [0.0], [0.3]])
+    points = np.column_stack([x, z, -y] if turned else [x, y, z])
+    trimesh.Trimesh(points, mesh.faces, process=False).export(tmp_path / ("a.glb" if turned else "a.stl"))
+    assert read_mesh(tmp_path / ("a.glb" if turned else "a.stl")).up.axis == ("y" if turned else "z")
+
+
+@pytest.mark.parametrize("size", [0.1, 0.25, 0.5])
+def test_what_is_small_has_as_many_cells_as_what_is_not(size: float) -> None:
+    mesh = trimesh.creation.icosphere(3, size / 2)
+    made = terrain(as_terrain(mesh), -size / 2)
+    assert min(made.grid.top.shape[1:]) >= 99
+    assert made.tolerance <= 0.006 * size + 1e-9
+
+
+def test_a_thin_lip_does_not_make_the_board_behind_it_thin() -> None:
+    """Balls that fall from a worktop went through the floor of a cabinet, as thick as its front edge."""
+    board = trimesh.creation.box((1.0, 0.6, 0.08)).apply_translation((0, 0, 0.36))
+    lip = trimesh.creation.box((0.4, 0.6, 0.01)).apply_translation((0.6, 0, 0.395))
+    mesh = trimesh.boolean.union([board, lip], "manifold").subdivide_to_size(0.1)
+    made = as_terrain(mesh)
+    corners = made.vertices[made.triangles]
+    hidden = (corners[..., 2].min(1) > 0.399) & (corners[..., 0].max(1) < 0.05)  # half of the top was not seen
+    parts, _ = parts_of(sheets(Shape(replace(made, invented=hidden), 0.0), SceneConfig()))
+    thick = [np.ptp(p.points[:, 2]) for p in parts if p.depth(np.array([[0.3, 0.1, 0.395]]))[0] > 0]
+    assert max(thick) >= 0.039
+
+
+def test_sheets_are_not_tried_where_columns_hold_a_closed_surface() -> None:
+    mesh = as_terrain(put_together(*STEPS))
+    fitted = fit_contact(mesh, 0.0, SceneConfig(contact_probes=100, contact_tolerance=(1e-9, 1e-9)))
+    refused = {c["representation"]: c["refused"] for c in fitted.summary["considered"] if "refused" in c}
+    assert "closed" in refused["sheets"]
+
+
 def test_a_floor_is_the_top_of_its_slab(tmp_path: Path) -> None:
     """Low things on a slab half as thick as all, y up and about the origin, as Blender writes them."""
     slab = ((0, 0, -0.1), (7, 4, 0.2))
@@ -171,14 +212,18 @@ def test_a_grid_from_a_corner_at_the_origin_does_not_stand_on_y(tmp_path: Path) 
     assert (made.up.axis, made.up.question) == ("z", None)
 
 
-def test_where_it_asks_the_likelier_axis_is_taken(tmp_path: Path) -> None:
-    """Treads of 3 cm without a floor, about the origin: they are laid down for their area alone, and it says so."""
+def test_treads_without_a_floor_are_found_by_what_they_offer(tmp_path: Path) -> None:
     mesh = put_together(*(((0.3 * k, 0, 0.17 * k + 0.17), (0.28, 1, 0.03)) for k in range(8)))
     x, y, z = np.asarray(mesh.vertices).T
     trimesh.Trimesh(np.column_stack([x, z, -y]), mesh.faces, process=False).export(tmp_path / "a.obj")
+    assert read_mesh(tmp_path / "a.obj").up.axis == "y"
+
+
+def test_a_crate_may_lie_on_any_side(tmp_path: Path) -> None:
+    put_together(((0, 0, 0), (0.6, 0.7, 0.6))).export(tmp_path / "a.obj")
     made = read_mesh(tmp_path / "a.obj")
-    assert made.up.axis == "y"
-    assert "y was taken" in str(made.up.question)
+    assert made.up.axis == "z"
+    assert "z was taken" in str(made.up.question)
 
 
 def test_an_open_sheet_has_no_inside_to_be_turned_out(tmp_path: Path) -> None:

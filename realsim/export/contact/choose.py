@@ -101,6 +101,9 @@ def fit_contact(
             shape = Shape(mesh, ground_z)  # of which no piece is exact
     with steps() as tick:
         for name in names:
+            if name == "sheets" and mesh.noise_m is None and is_closed(mesh) and any(map(_has_sides, tried)):
+                refused.append({"representation": name, "refused": "a closed surface, of which columns hold the sides"})
+                continue
             tick(f"building {name}", 0.0)
             try:
                 contact = CONTACT[name](shape, config)
@@ -152,6 +155,17 @@ def fit_contact(
 def _uncertain(mesh: TerrainMesh) -> float:
     """Metres that the surface itself may be off: its noise, and where voxels round an inner edge, half of one."""
     return 0.0 if mesh.noise_m is None else max(mesh.noise_m, mesh.resolution / 2)
+
+
+def is_closed(mesh: TerrainMesh) -> bool:
+    """Whether no edge has one triangle alone."""
+    return bool((edges_of(faces_by_place(mesh.vertices, mesh.triangles)).uses > 1).all())
+
+
+def _has_sides(tried: _Tried) -> bool:
+    """Whether it is made of columns and stops rays from the side: sheets would have nothing to add."""
+    stopped = tried.fidelity.figures["sides"]["stopped"]
+    return tried.contact.representation in OF_COLUMNS and (stopped is None or stopped >= 1 - OFF)
 
 
 def is_exact(mesh: TerrainMesh) -> bool:

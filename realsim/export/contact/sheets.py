@@ -101,9 +101,11 @@ def _is_solid(prisms: list[Prism], samples: Samples, near: float) -> bool:
     low, high = corners.min(0) - near, corners.max(0) + near
     around = samples.where(((samples.points > low) & (samples.points < high)).all(1))
     on, air = np.zeros((2, len(around.points)), bool)
+    front = around.points + FRONT * around.normals
     for part in [Polytope(prism.corners) for prism in prisms]:
-        on |= np.abs(part.depth(around.points)) < near
-        air |= part.depth(around.points + FRONT * around.normals) > INSIDE
+        here, before = part.about(around.points, near), part.about(front)
+        on[here] |= np.abs(part.depth(around.points[here])) < near
+        air[before] |= part.depth(front[before]) > INSIDE
     return bool(around.area[on].sum() - around.area[air].sum() > SEEN * _outer_area(prisms))
 
 
@@ -132,9 +134,9 @@ def _felt(points: F64, prisms: list[Prism], floor: tuple[Geom, ...], near: float
         over = (np.abs(points[:, :2] - part.pos[:2]) < size[:2]).all(1) | (part.type == "plane")
         felt |= over & (points[:, 2] < top + near)
     for prism in prisms:
-        low, high = prism.corners.min(0) - near, prism.corners.max(0) + near
-        around = np.flatnonzero(~felt & ((points > low) & (points < high)).all(1))
-        felt[around] |= Polytope(prism.corners).contains(points[around], near)
+        solid = Polytope(prism.corners)
+        around = solid.about(points, near)
+        felt[around] |= solid.contains(points[around], near)
     return felt
 
 
@@ -208,13 +210,23 @@ def _slabs(patch: Patch, samples: Samples, surface: Reference, tolerance: float,
     t, _, _ = surface.cast(at + 2 * tolerance * normal, np.broadcast_to(-normal, at.shape))
     mask[rows, columns] = (np.isinf(t) & (facing <= 0)) | (t < 4 * tolerance)
     behind = np.array([0.0, 0.0, -facing]) if facing else -normal
-    thick = _thickness(points, behind, surface, {-1.0: SHEET, 0.0: THIN, 1.0: THICK}[facing])
+    room = _room(points, behind, surface)
+    thick = float(np.clip(np.percentile(room, 10), THIN, {-1.0: SHEET, 0.0: THIN, 1.0: THICK}[facing]))
+    layers = [(mask, thick)]
+    if (
+        facing > 0 and (room >= THICK).mean() > SEEN and thick < THICK
+    ):  # a rim that is thinner makes the rest no thinner
+        deep = mask.copy()
+        rows, columns = np.nonzero(mask)
+        at = patch.origin + (lower + cell * np.column_stack([columns, rows])) @ patch.axes[:2]
+        deep[rows, columns] = _room(at + tolerance * behind, behind, surface) >= THICK
+        layers.append((ndimage.binary_opening(deep, np.ones((3, 3))), THICK))
     out = []
     edge, bulge = min(EDGE, FELT / cell), BULGE
     if tolerance > FELT:  # noise moves an outline as it moves a plane; a foot feels that of what it stands on
         edge = max(tolerance, 0.0 if facing > 0 else resolution / RIMS) / cell
         bulge = 1.5 * edge
-    for part in convex_parts(outlines(mask, edge), bulge):
+    for part, thick in [(part, by) for here, by in layers for part in convex_parts(outlines(here, edge), bulge)]:
         corners = np.column_stack([lower + cell * part[:, ::-1], np.zeros(len(part))])
         frame: tuple[F64 | None, F64 | None] = (None, None)
         if facing:
@@ -239,9 +251,8 @@ def _closed(mask: NDArray[np.bool_], radius: int) -> NDArray[np.bool_]:
     return np.asarray(ndimage.binary_fill_holes(wide | bays))[radius + 1 : -radius - 1, radius + 1 : -radius - 1]
 
 
-def _thickness(points: F64, behind: F64, surface: Reference, most: float) -> float:
-    """Metres of a sheet: `most`, or less where another face behind it was seen."""
+def _room(points: F64, behind: F64, surface: Reference) -> F64:
+    """(N,) metres behind points of a face up to THICK, or less where another face was seen behind it."""
     t, cosine, _ = surface.cast(points + 0.003 * behind, np.broadcast_to(behind, points.shape))
     # A face that is left there was seen from behind: solid in between. One that is met from its front has air.
-    room = np.where(cosine > 0, t + 0.003, t - FRONT)
-    return float(np.clip(np.percentile(np.minimum(room, THICK), 10), THIN, most))
+    return np.minimum(np.where(cosine > 0, t + 0.003, t - FRONT), THICK)
