@@ -229,10 +229,10 @@ def spread(labels: I64, inside: NDArray[np.bool_], cost: Misfit, outside: F64 | 
 
 def _fit(z: F64, where: NDArray[np.bool_]) -> F64:
     """Least-squares a b c over the cells of a mask."""
-    rows, columns = np.indices(z.shape, sparse=True)
+    rows, columns = (np.arange(n) for n in z.shape)
     of_row, of_column, n = where.sum(1), where.sum(0), int(where.sum())
-    r0, c0, mean = float(of_row @ rows[:, 0]) / n, float(of_column @ columns[0]) / n, float(z.sum(where=where)) / n
-    r, c, height = rows[:, 0] - r0, columns[0] - c0, np.where(where, z - mean, 0.0)
+    r0, c0, mean = float(of_row @ rows) / n, float(of_column @ columns) / n, float(z.sum(where=where)) / n
+    r, c, height = rows - r0, columns - c0, np.where(where, z - mean, 0.0)
     both = float(r @ (where @ c))
     moments = np.array([[of_column @ c**2, both], [both, of_row @ r**2]])
     a, b = np.linalg.lstsq(moments, [height.sum(0) @ c, height.sum(1) @ r], rcond=None)[0]
