@@ -68,7 +68,8 @@ def find_up(vertices: F64, triangles: NDArray[np.int64], suffix: str) -> Up:
         suffix: of the file, lower case.
     """
     named = triangles[((triangles >= 0) & (triangles < len(vertices))).all(1)]
-    named = named[np.isfinite(vertices).all(1)[named].all(1)]
+    finite = np.asarray(np.isfinite(vertices).all(1))
+    named = named[finite[named].all(1)]
     corners = vertices[named]
     habit = -2 * HABIT if suffix == ".glb" else HABIT
     usual = "z" if habit > 0 else "y"
