@@ -143,7 +143,7 @@ EXTRA_OF = {
     **dict.fromkeys(
         ("open3d", "cv2", "skimage", "fast_simplification", "manifold3d", "pymeshlab", "coacd", "onnxruntime"), "recon"
     ),
-    **dict.fromkeys(("torch", "tensorboard", "onnx", "onnxscript", "PIL"), "train"),
+    **dict.fromkeys(("torch", "tensorboard", "onnx", "PIL"), "train"),
     "pycolmap": "colmap",
     "viser": "viewer",
     "pyrealsense2": "realsense",

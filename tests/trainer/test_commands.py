@@ -33,7 +33,6 @@ from trainer.terrain.widen import LADDER
 from trainer.trainers import Scene, TrainConfig, ppo
 from trainer.trainers.ladder import ALONG, HELP_BELOW, WAITING, helped
 
-pytestmark = pytest.mark.usefixtures("quick_export")
 SMALL = [
     "--worlds", "16", "--threads", "1", "--evaluate-every", "0", "--steps", "8", "--epochs", "2",
     "--no-tensorboard", "--device", "cpu",

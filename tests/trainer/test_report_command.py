@@ -9,8 +9,6 @@ from realsim.cli.command_line import main
 from tests import pages
 from tests.trainer import histories
 
-pytestmark = pytest.mark.usefixtures("quick_export")
-
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:

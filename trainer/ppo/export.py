@@ -1,11 +1,7 @@
 """A policy as ONNX: one file that a robot can run, with all that it must know about it in the metadata."""
 
-import io
 import json
-import logging
-import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -18,6 +14,7 @@ from realsim.core.files import write_bytes
 from realsim.core.onnx_file import open_network, open_session
 from trainer.errors import TrainerError
 from trainer.ppo.config import NetworkConfig
+from trainer.ppo.graph import written
 from trainer.ppo.metadata import Deployment, check_graph, check_network, read_metadata
 from trainer.ppo.networks import Critic
 from trainer.ppo.policy import Policy
@@ -63,12 +60,13 @@ def export(path: Path, policy: Policy, facts: Deployment, checks: int = 64) -> f
     Inputs are `vector` (N, A) and, with a camera, `depth` (N, M, H, W); the output is `action` (N, J), the mean.
 
     Raises:
-        TrainerError: the exported network computes something else; nothing is written.
-        MissingExtraError: onnx or onnxscript is not installed.
+        TrainerError: the exported network computes something else, or cannot be written; nothing is written.
+        MissingExtraError: onnx is not installed.
     """
+    extra("onnx", "train", "exporting a policy to ONNX")
     actor = policy.actor.to("cpu").eval()
     vector, depth = _examples(policy.layout, checks)
-    data = _annotate(_onnx(actor, vector, depth), facts)
+    data = _annotated(written(actor, {"vector": vector, "depth": depth}, "action"), facts)
     with torch.no_grad():
         expected = actor(vector, depth).numpy()
     inputs = {name: value.numpy() for name, value in (("vector", vector), ("depth", depth)) if value is not None}
@@ -159,43 +157,7 @@ def _examples(layout: ObservationLayout, rows: int) -> tuple[torch.Tensor, torch
     return vector, None if layout.depth is None else torch.rand(rows, *layout.depth, generator=rng)
 
 
-def _onnx(actor: torch.nn.Module, vector: torch.Tensor, depth: torch.Tensor | None) -> bytes:
-    for module in ("onnx", "onnxscript"):
-        extra(module, "train", "exporting a policy to ONNX")
-    rows = {0: torch.export.Dim("batch")}
-    buffer = io.BytesIO()
-    with warnings.catch_warnings(), _quiet("torch.onnx"):
-        warnings.simplefilter("ignore")
-        torch.onnx.export(
-            actor,
-            (vector, depth),
-            buffer,  # type: ignore[arg-type]  # it takes any file, whatever its annotation says
-            input_names=["vector"] if depth is None else ["vector", "depth"],
-            output_names=["action"],
-            dynamic_shapes={"vector": rows, "depth": None if depth is None else rows},
-            dynamo=True,
-            external_data=False,
-            verbose=False,
-        )
-    return buffer.getvalue()
-
-
-@contextmanager
-def _quiet(logger: str) -> Iterator[None]:
-    """Without the warnings of a logger (the exporter's, about packages that no policy needs)."""
-    log = logging.getLogger(logger)
-    level = log.level
-    log.setLevel(logging.ERROR)
-    try:
-        yield
-    finally:
-        log.setLevel(level)
-
-
-def _annotate(data: bytes, facts: Deployment) -> bytes:
-    import onnx
-
-    model = onnx.load_model_from_string(data)
+def _annotated(model: Any, facts: Deployment) -> bytes:
     entry = model.metadata_props.add()
     entry.key, entry.value = KEY, json.dumps({"version": VERSION, **asdict(facts)})
     return model.SerializeToString()
