@@ -4,6 +4,8 @@ Conventions (docs/conventions.md): column vectors, `T_a_b` maps points of frame 
 OpenCV's (x right, y down, z forward), the centre of the first pixel is (0, 0), quaternions are w x y z.
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -48,6 +50,13 @@ def transform(T: ArrayLike, points: ArrayLike) -> Array:
     """Apply a 4x4 transform to points (..., 3); a similarity is allowed."""
     T = np.asarray(T, float)
     return np.asarray(points) @ T[:3, :3].T + T[:3, 3]
+
+
+def cross(a: NDArray[Any], b: NDArray[Any]) -> Array:
+    """(N, 3) what `np.cross` calculates of (N, 3) or (3,), without its handling of axes: it is called tens of thousands
+    of times for few."""
+    (ax, ay, az), (bx, by, bz) = a.T, b.T
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
 
 
 def exp_so3(w: ArrayLike) -> Array:

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from realsim.core.geometry import cross
+
 
 def across(vertices: NDArray[Any], triangles: NDArray[Any]) -> NDArray[np.float64]:
     """(K, 3) cross products of two sides of each triangle: along its normal, as long as twice its area."""
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
-    (ux, uy, uz), (vx, vy, vz) = (b - a).T, (c - a).T
-    # What `np.cross` calculates, without its handling of axes: it is called tens of thousands of times for few.
-    return np.asarray(np.stack([uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx], axis=1), np.float64)
+    return np.asarray(cross(b - a, c - a), np.float64)
 
 
 def areas(vertices: NDArray[Any], triangles: NDArray[Any]) -> NDArray[np.float64]:

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from realsim.core.geometry import (
     R_to_quat,
     angle_deg,
+    cross,
     exp_so3,
     fit_plane,
     invert_T,
@@ -52,6 +53,12 @@ def test_nearest_rotation_mends_noise_and_never_reflects() -> None:
     R = exp_so3([0.3, -0.2, 0.9])
     assert angle_deg(R.T @ nearest_rotation(R + 1e-4)) < 0.05
     assert np.linalg.det(nearest_rotation(np.diag([1.0, 1.0, -1.0]))) == pytest.approx(1)
+
+
+def test_cross_products_are_numpys() -> None:
+    a, b = np.random.default_rng(0).normal(size=(2, 5, 3))
+    np.testing.assert_array_equal(cross(a, b), np.cross(a, b))
+    np.testing.assert_array_equal(cross(a, b[0]), np.cross(a, b[0]))
 
 
 def test_plane_of_points_on_a_plane() -> None:

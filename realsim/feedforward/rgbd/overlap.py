@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from realsim.core.geometry import invert_T, transform
+from realsim.core.geometry import cross, invert_T, transform
 from realsim.core.types import F64, Bool
 from realsim.feedforward.rgbd.features import View
 from realsim.feedforward.rgbd.pose_graph import exp_se3, hat
@@ -123,10 +123,10 @@ def _planes(A: View, B: View, T: F64, limit: float, stride: int) -> tuple[F64, F
         n, d, P, z = n[ok], d[ok], land_.source[ok], land_.depth[ok]
         if own:  # X = A: a point p of B moves with B's twist, dp = v + w x p.
             k = n @ T[:3, :3]
-            J.append(np.concatenate([k, np.cross(P, k)], 1))
+            J.append(np.concatenate([k, cross(P, k)], 1))
         else:  # X = B: a point of A seen from B moves the other way.
             k, p = -n, land_.points[ok]
-            J.append(np.concatenate([k, np.cross(p, k)], 1))
+            J.append(np.concatenate([k, cross(p, k)], 1))
         r.append(d)
         # Neighbouring depth pixels err together: each of the some thousands counts as a hundredth.
         sigma.append(10 * (0.002 * z**2 + 0.001))

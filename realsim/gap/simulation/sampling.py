@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from realsim.core.geometry import cross
 from realsim.core.types import F64
 
 AT = 1e-3
@@ -66,7 +67,7 @@ def rotation_from(quat: F64, reference: F64) -> F64:
     q = quat / np.maximum(np.linalg.norm(quat, axis=1, keepdims=True), 1e-12)
     w0, v0 = reference[0], -np.asarray(reference[1:])
     w = q[:, 0] * w0 - q[:, 1:] @ v0
-    v = q[:, :1] * v0 + w0 * q[:, 1:] + np.cross(q[:, 1:], v0)
+    v = q[:, :1] * v0 + w0 * q[:, 1:] + cross(q[:, 1:], v0)
     v, w = np.where(w[:, None] < 0, -v, v), np.abs(w)
     norm = np.linalg.norm(v, axis=1)
     angle = 2 * np.arctan2(norm, w)

@@ -196,6 +196,8 @@ def _at(values: F64, rows: F64) -> F64:
 
 def _history(values: F64, term: Term, loop: Loop) -> F64:
     """(K, length, W), oldest first; before the first moment there was the first moment."""
+    if term.history == 1:
+        return values[:, None]
     held = term.history if loop.length is None else min(loop.length, term.history)
     back = np.minimum(np.arange(term.history)[::-1], held - 1) * loop.skipped
     rows = np.take(values, np.maximum(np.arange(len(values))[:, None] - back, 0), axis=0)

@@ -11,6 +11,7 @@ import numpy as np
 
 from realsim.core.errors import GapError
 from realsim.core.files import read_npz
+from realsim.core.geometry import cross
 from realsim.core.types import F64, Bool
 from realsim.gap.case.case import Case
 from realsim.gap.checks.camera.recorded import in_metres, recorded_frames
@@ -163,8 +164,8 @@ def liveliest(steps: Steps, rows: int, of_each: int) -> Steps:
 def turn(quat: F64, v: F64) -> F64:
     """(K, 3) vectors rotated by unit quaternions w x y z (K, 4)."""
     w, u = quat[:, :1], quat[:, 1:]
-    t = 2 * np.cross(u, v)
-    return np.asarray(v + w * t + np.cross(u, t))
+    t = 2 * cross(u, v)
+    return np.asarray(v + w * t + cross(u, t))
 
 
 def _driven(case: Case, actuator: str) -> str:
