@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter, savgol_filter
 
 from realsim.core.filters import local_fit, local_polynomials, low_pass
 
@@ -13,6 +12,8 @@ VALUES = np.random.default_rng(0).normal(size=(40, 3)).cumsum(0)
 @pytest.mark.parametrize("order", [0, 1, 2])
 @pytest.mark.parametrize("half", [2, 7, 19])
 def test_local_polynomials(half: int, order: int, degree: int) -> None:
+    from scipy.signal import savgol_filter
+
     found = local_polynomials(VALUES, half, degree, order, 0.01)
     expected = savgol_filter(VALUES, 2 * half + 1, degree, deriv=order, delta=0.01, axis=0)
     np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
@@ -29,6 +30,8 @@ def test_a_polynomial_is_fitted_exactly_and_too_few_samples_are_refused() -> Non
 
 @pytest.mark.parametrize("keeps", [0.0, 0.3, 0.99])
 def test_low_pass(keeps: float) -> None:
+    from scipy.signal import lfilter
+
     expected = lfilter([1 - keeps], [1, -keeps], VALUES, axis=0, zi=keeps * VALUES[:1])[0]
     np.testing.assert_allclose(low_pass(VALUES, keeps), expected, rtol=1e-12)
     np.testing.assert_allclose(low_pass(VALUES[:, 1], keeps), expected[:, 1], rtol=1e-12)

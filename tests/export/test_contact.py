@@ -16,16 +16,18 @@ from realsim.export.contact.boxes import boxes
 from realsim.export.contact.choose import fit_contact
 from realsim.export.contact.fidelity import Fidelity
 from realsim.export.contact.probe import BALL, SimTouch, first_touch, spec_of
+from realsim.export.contact.seams import open_seams, parts_of
 from realsim.export.contact.shape import Shape
-from tests.export.measured import CONFIG, FACING_UP, fidelity
+from tests.export.measured import CONFIG, FACING_UP, boxes_of, fidelity
 from tests.truths.solids import TERRAINS, block, grid_mesh, terrain, with_floor
 
 
 @pytest.mark.parametrize("name", list(TERRAINS))
 def test_boxes_match_exact_terrains(name: str) -> None:
-    """The project's bars, on solids whose surface is known."""
+    """The project's bars, on solids whose surface is known; no seam between the parts is left open."""
     mesh = terrain(name)
-    f = fidelity(boxes(Shape(mesh, 0.0), CONFIG), mesh, probes=400, feet=20)
+    assert not open_seams(parts_of(boxes_of(name))[0])
+    f = fidelity(boxes_of(name), mesh, probes=400, feet=20)
     assert f["median_mm"] <= 3
     assert f["p95_mm"] <= 10
     assert f["max_mm"] <= 15
@@ -42,20 +44,16 @@ def test_boxes_match_exact_terrains(name: str) -> None:
 def test_standing_on_boxes_costs_little(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cost, "STEPS", 50)
     monkeypatch.setattr(cost, "REPEATS", 5)
-    contact = boxes(Shape(terrain("stakes"), 0.0), CONFIG)
-    assert cost.step_cost(spec_of(contact), np.array([0, 0, 0.35]))["step_cost_vs_plane"] <= 2.5
+    assert cost.step_cost(spec_of(boxes_of("stakes")), np.array([0, 0, 0.35]))["step_cost_vs_plane"] <= 2.5
 
 
 def test_stakes_are_boxes_and_wedges_are_prisms() -> None:
-    kinds = {g.type for g in boxes(Shape(terrain("stakes"), 0.0), CONFIG).geoms}
-    assert kinds == {"plane", "box"}
-    wedges = boxes(Shape(terrain("wedges"), 0.0), CONFIG)
-    assert sum(g.type == "mesh" for g in wedges.geoms) == 3
+    assert {g.type for g in boxes_of("stakes").geoms} == {"plane", "box"}
+    assert sum(g.type == "mesh" for g in boxes_of("wedges").geoms) == 3
 
 
 def test_the_same_mesh_gives_the_same_geoms() -> None:
-    mesh = terrain("trapezoids")
-    one, two = boxes(Shape(mesh, 0.0), CONFIG), boxes(Shape(mesh, 0.0), CONFIG)
+    one, two = boxes_of("trapezoids"), boxes(Shape(terrain("trapezoids"), 0.0), CONFIG)
     assert one.geoms == two.geoms
     assert [a.attributes for a in one.assets] == [a.attributes for a in two.assets]
 

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import pytest
 import torch
-from scipy.stats import fisher_exact
 
 from tests.trainer.test_ppo import BRIEF, runner
 from trainer.evaluate import Evaluation, EvaluationConfig, Result
@@ -23,6 +22,8 @@ def trials(won: int, of: int = 100, cause: str = "ground") -> Evaluation:
 
 @pytest.mark.parametrize(("after", "before", "n"), [(12, 4, 30), (97, 90, 100), (3, 30, 100), (0, 0, 50), (50, 50, 50)])
 def test_the_test_is_fishers(after: int, before: int, n: int) -> None:
+    from scipy.stats import fisher_exact  # takes a second to import
+
     expected = fisher_exact([[after, n - after], [before, n - before]], alternative="greater").pvalue
     assert fisher(after, n, before, n) == pytest.approx(expected)
 

@@ -27,7 +27,7 @@ def _site(robot: str, seed: int) -> causes.Site:
 def write_exact(
     folder: Path, robot: str, effect: str | None, strength: float = 0.7, seed: int = 0
 ) -> tuple[causes.Label | None, Truth]:
-    """Write a log of one run or two in the contract's form; the label is returned, and the truth behind it.
+    """Write a log of one run in the contract's form; the label is returned, and the truth behind it.
 
     Args:
         effect: None for a robot without any.
@@ -38,11 +38,7 @@ def write_exact(
     site = _site(robot, seed)
     truth = Truth(len(made.joints))
     label = causes.available(made)[effect](truth, site, np.random.default_rng(seed), strength) if effect else None
-    commands = [
-        (times, motion(made, rng, times, kind))
-        for kind in KINDS[made.base][: 1 if made.base == "floating" else 2]  # walking takes long to simulate
-        for times in [sample_times(rng, EXACT.rate, SECONDS)]
-    ]
-    plant = Plant(made, truth)
-    write_log(folder, made, EXACT, truth, commands, [plant.drive(*c) for c in commands], rng)
+    times = sample_times(rng, EXACT.rate, SECONDS)
+    command = motion(made, rng, times, KINDS[made.base][0])
+    write_log(folder, made, EXACT, truth, [(times, command)], [Plant(made, truth).drive(times, command)], rng)
     return label, truth
