@@ -111,8 +111,9 @@ class SimTouch:
 
     def _collide(self, positions: F64, quats: F64) -> None:
         model, count = self.model, len(positions)
-        model.body_pos[1:], model.body_quat[1:] = [0, 0, 1e3], [1, 0, 0, 0]  # what is not asked for waits far above
         model.body_pos[1 : count + 1], model.body_quat[1 : count + 1] = positions, quats
+        # What is not asked for is left out: waiting far away, each of the hundreds would be compared with all others.
+        model.body_contype[1:] = np.arange(self.batch) < count
         self._mj.mj_kinematics(model, self.data)
         self._mj.mj_collision(model, self.data)
 
