@@ -49,6 +49,7 @@ class Agreement:
 
     as_read: float
     others: Mapping[str, float]
+    """Empty where none can agree clearly better."""
     compared: int
     """Pixels compared under the assumed reading."""
 
@@ -133,6 +134,8 @@ def agreement(frames: Sequence[Frame]) -> Agreement | None:
     as_read, compared = share(poses)
     if compared < ENOUGH:
         return None
+    if CLEARLY * as_read >= 1:  # nothing can be better by as much
+        return Agreement(as_read, {}, compared)
     others = {
         "poses that are world to camera": share({k: invert_T(T) for k, T in poses.items()})[0],
         "poses with OpenGL camera axes": share({k: T @ OPENGL for k, T in poses.items()})[0],
