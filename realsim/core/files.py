@@ -141,9 +141,11 @@ def parse_yaml(text: str, path: Path) -> Any:
     import yaml
 
     try:
-        count = _expanded(yaml.compose(text, Loader=yaml.SafeLoader), {})
+        loader = yaml.SafeLoader(text)
+        node = loader.get_single_node()
+        count = _expanded(node, {})
         if count <= MAX_YAML_VALUES:
-            return yaml.safe_load(text)
+            return None if node is None else loader.construct_document(node)
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise RealsimError(
             "broken YAML", file=path, expected="valid YAML", found=" ".join(str(error).split())

@@ -7,6 +7,7 @@ import re
 import struct
 import zlib
 from collections.abc import Callable, Iterator
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -17,29 +18,32 @@ MAX_RECORD = 512 * 2**20
 """Bytes of one record of an MCAP file, packed or unpacked."""
 
 
-class Types:
-    """Message definitions, as they come with recordings; the common ones of ROS where a recording has none."""
+@lru_cache(maxsize=256)  # recordings of one robot define the same again and again
+def ros_decoder(name: str, encoding: str, definition: str) -> tuple[Callable[[bytes], Any] | None, str]:
+    """(decoder of ROS messages of a type, or None; why not): by the definition that comes with them, by ROS' common
+    ones where that is empty. `encoding` is ros1msg, ros2msg or ros2idl."""
+    typesys = extra("rosbags.typesys", "logs", "reading ROS messages")
+    full = name if name.count("/") == 2 else name.replace("/", "/msg/", 1)
+    try:
+        if definition.strip():
+            store = typesys.get_typestore(typesys.Stores.EMPTY)
+            if encoding == "ros2idl":
+                store.register(typesys.get_types_from_idl(definition))
+            else:
+                store.register(typesys.get_types_from_msg(definition, full))
+        elif full not in (store := _common_types()).fielddefs:
+            return None, "its definition is not in the recording"
+    except Exception as error:  # a definition of any other dialect; rosbags raises several types
+        return None, f"unknown definition ({type(error).__name__}: {str(error)[:80]})"
+    read = store.deserialize_ros1 if encoding == "ros1msg" else store.deserialize_cdr
+    return lambda data: read(data, full), ""
 
-    def __init__(self) -> None:
-        typesys = extra("rosbags.typesys", "logs", "reading ROS messages")
-        self._typesys = typesys
-        self._common = register(typesys.get_typestore(typesys.Stores.LATEST), typesys.get_types_from_msg)
 
-    def decoder(self, name: str, encoding: str, definition: str) -> tuple[Callable[[bytes], Any] | None, str]:
-        """(decoder of messages of a type, or None; why not). `encoding` is ros1msg, ros2msg or ros2idl."""
-        full = name if name.count("/") == 2 else name.replace("/", "/msg/", 1)
-        try:
-            store = self._common
-            if definition.strip():
-                store = self._typesys.get_typestore(self._typesys.Stores.EMPTY)
-                parse = self._typesys.get_types_from_idl if encoding == "ros2idl" else None
-                store.register(parse(definition) if parse else self._typesys.get_types_from_msg(definition, full))
-            elif full not in store.fielddefs:
-                return None, "its definition is not in the recording"
-        except Exception as error:  # a definition of any other dialect; rosbags raises several types
-            return None, f"unknown definition ({type(error).__name__}: {str(error)[:80]})"
-        read = store.deserialize_ros1 if encoding == "ros1msg" else store.deserialize_cdr
-        return lambda data: read(data, full), ""
+@cache
+def _common_types() -> Any:
+    from rosbags import typesys
+
+    return register(typesys.get_typestore(typesys.Stores.LATEST), typesys.get_types_from_msg)
 
 
 def protobuf_decoder(name: str, definition: bytes) -> tuple[Callable[[bytes], Any] | None, str]:

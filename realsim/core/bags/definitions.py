@@ -3,6 +3,7 @@
 Unitree's types as the robots send them (github.com/unitreerobotics/unitree_ros2, BSD-3-Clause).
 """
 
+from functools import cache
 from typing import Any
 
 _IMU = "float32[4] quaternion\nfloat32[3] gyroscope\nfloat32[3] accelerometer\nfloat32[3] rpy\n{} temperature\n"
@@ -43,8 +44,13 @@ DEFINITIONS: dict[str, str] = {
 def register(store: Any, parse: Any) -> Any:
     """The typestore with these types; `parse` is rosbags.typesys.get_types_from_msg."""
     types: dict[str, Any] = {}
-    for name, text in DEFINITIONS.items():
+    for name, found in _parsed(parse).items():
         if name not in store.fielddefs:
-            types.update(parse(text, name))
+            types.update(found)
     store.register(types)
     return store
+
+
+@cache
+def _parsed(parse: Any) -> dict[str, Any]:
+    return {name: parse(text, name) for name, text in DEFINITIONS.items()}

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from realsim.core.bags import Types, mcap_files, mcap_records, protobuf_decoder
+from realsim.core.bags import mcap_files, mcap_records, protobuf_decoder, ros_decoder
 from realsim.core.bags.definitions import register
 from realsim.core.errors import RealsimError, extra
 
@@ -51,7 +51,7 @@ class Bag:
         extra("mcap", "logs", "reading .mcap")
         from mcap.records import Channel, Message, Schema
 
-        types, first = Types(), True
+        first = True
         for file in files:
             channels: dict[int, tuple[str, str, Any]] = {}
             schemas: dict[int, Any] = {}
@@ -59,14 +59,14 @@ class Bag:
                 if isinstance(record, Schema):
                     schemas[record.id] = record
                 elif isinstance(record, Channel) and record.id not in channels:
-                    channels[record.id] = self._channel(record, schemas.get(record.schema_id), types, wanted)
+                    channels[record.id] = self._channel(record, schemas.get(record.schema_id), wanted)
                 elif isinstance(record, Message) and record.channel_id in channels:
                     topic, kind, decode = channels[record.channel_id]
                     self.start, first = 1e-9 * record.log_time if first else self.start, False
                     if decode is not None:
                         yield topic, kind, decode, record.data, 1e-9 * record.log_time
 
-    def _channel(self, channel: Any, schema: Any, types: Types, wanted: Callable[[str, str], bool]) -> Any:
+    def _channel(self, channel: Any, schema: Any, wanted: Callable[[str, str], bool]) -> Any:
         kind = full(schema.name if schema is not None else "")
         self.topics[channel.topic] = kind
         if not wanted(channel.topic, kind):
@@ -77,7 +77,7 @@ class Bag:
         if coded == ("protobuf", "protobuf"):
             decode, why = protobuf_decoder(schema.name, schema.data)
         elif coded[0] in ("cdr", "ros1") and coded[1] in ("ros2msg", "ros2idl", "ros1msg"):
-            decode, why = types.decoder(schema.name, schema.encoding, schema.data.decode("utf-8", "replace"))
+            decode, why = ros_decoder(schema.name, schema.encoding, schema.data.decode("utf-8", "replace"))
         else:
             decode, why = None, f"{coded[0]} with {coded[1]} definition is not read"
         if decode is None:
