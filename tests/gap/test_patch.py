@@ -126,6 +126,20 @@ def test_round_trip(name: str, arm: Simulator, walker: Simulator, flyer: Simulat
     assert ("wrapper" in explain(name)) == (name in WRAPPED)
 
 
+@pytest.mark.parametrize("name", sorted(set(EFFECTS) - CAMERA))
+def test_what_comes_first_is_shared_and_not_changed(
+    name: str, arm: Simulator, walker: Simulator, flyer: Simulator
+) -> None:
+    simulator = robot(name, arm, walker, flyer)
+    settings, body = fitted(simulator, name), simulator.context.bodies[-1]
+    beside: list[Setting] = [("payload", (body,), {"mass": 0.05, "x": 0.02}), ("command_delay", (), {"delay": 0.003})]
+    beside += [("joint_offset", (joint,), {"offset": 0.01}) for joint in simulator.case.joint_names]
+    for _ in range(2):
+        found, at_once = simulator.simulate(settings, beside=beside), simulator.simulate([*beside, *settings])
+        for one, other in zip(found, at_once, strict=True):
+            np.testing.assert_array_equal(one, other)
+
+
 def test_delay_in_the_xml_is_the_delay_of_the_simulator(arm: Simulator) -> None:
     steps = 6
     settings = [("command_delay", (), {"delay": steps * 0.002})]

@@ -205,8 +205,8 @@ def test_a_search_that_fails_on_a_run_it_did_not_look_at_finds_nothing(made, mon
     assert fitter.fit([cause], few=fitter.rough(fitter.nominal())) is not None
     few, simulate = fitter.rough(fitter.nominal()), screen.simulator.simulate
 
-    def falls(settings=(), runs=None, coarse=1, onsets=None):
-        made = simulate(settings, runs, coarse, onsets)
+    def falls(settings=(), runs=None, coarse=1, **given):
+        made = simulate(settings, runs, coarse, **given)
         return [np.full_like(y, np.nan) for y in made] if settings and len(made) == len(screen.runs) else made
 
     monkeypatch.setattr(screen.simulator, "simulate", falls)

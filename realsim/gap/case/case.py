@@ -117,8 +117,7 @@ class Case:
 
         Figures of the diagnosis are the joint's; gains, force ranges and commands of a model are the actuator's.
         """
-        name = self.actuator_of(joint)
-        return 1.0 if name is None else float(self.model.actuator(name).gear[0])
+        return self._gears.get(joint, 1.0)
 
     def slides(self, joint: str) -> bool:
         """Whether a joint moves along its axis, in m and N, and does not turn about it."""
@@ -147,6 +146,10 @@ class Case:
             for a in map(self.model.actuator, range(self.model.nu))
             if a.dyntype[0] in FILTERS
         }
+
+    @cached_property
+    def _gears(self) -> dict[str, float]:
+        return {joint: float(self.model.actuator(name).gear[0]) for joint, name in self._actuators.items()}
 
     @cached_property
     def _actuators(self) -> dict[str, str]:

@@ -3,6 +3,7 @@
 import contextlib
 import ctypes
 from collections.abc import Iterator
+from functools import cache
 from itertools import pairwise
 from typing import Any
 
@@ -113,6 +114,7 @@ def quiet_mujoco() -> Iterator[None]:
         setter(previous)
 
 
+@cache
 def _clock() -> ctypes.c_void_p:
     """MuJoCo's `mjcb_time`, empty for no profiler; in Python it has one that `set_mjcb_time` cannot take away."""
     try:

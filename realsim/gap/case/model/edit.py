@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -166,6 +167,13 @@ class Edit:
         if self._spec is None:
             self._spec = self.context.spec.copy()
         return self._spec
+
+    def copied(self) -> Edit:
+        """The same changes, to add others to."""
+        found = copy.copy(self)
+        found.signals, found.bodily = copy.deepcopy(self.signals), list(self.bodily)
+        found._spec = None if self._spec is None else self._spec.copy()
+        return found
 
     def motor_joint(self, joint: str) -> str:
         """The joint that the motor turns: the joint itself, or its rotor once it has been split off."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, Self, TypeVar
 
 import numpy as np
@@ -143,15 +144,16 @@ class GaussNewton:
         """(T, C) a screened run (of those that are looked at); None if the simulation fails."""
 
         def made() -> list[F64] | None:
-            settings = [*self.screen.settings(self.beside(causes).about), *(s for c in causes for s in c.settings())]
-            simulate, runs, onsets = self.screen.simulator.simulate, self._runs(few), self.conditions.onsets
+            settings, runs, onsets = [s for c in causes for s in c.settings()], self._runs(few), self.conditions.onsets
+            beside = self.screen.settings(self.beside(causes).about)
+            simulate = partial(self.screen.simulator.simulate, settings, runs, onsets=onsets, beside=beside)
             try:
                 if few and few.added and not _stiff(causes):  # a stiff law may blow up at coarse steps
-                    coarse = simulate(settings, runs, self.screen.coarse, onsets)
+                    coarse = simulate(coarse=self.screen.coarse)
                     found = [y + more for y, more in zip(coarse, few.added, strict=True)]
                     if all(np.isfinite(y).all() for y in found):
                         return found
-                found = simulate(settings, runs, onsets=onsets)
+                found = simulate()
             except GapError:
                 return None
             return found if all(np.isfinite(y).all() for y in found) else None

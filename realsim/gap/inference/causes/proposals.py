@@ -131,6 +131,11 @@ def ranked(screen: Screen, here: Fit) -> list[Scored]:
 
     The set's own values go along: fitted alone, they have taken over what they can of what is missing beside them.
     """
+    found: list[Scored] = screen.ranked.get(id(here), lambda: (here, _ranked(screen, here)))[1]
+    return found
+
+
+def _ranked(screen: Screen, here: Fit) -> list[Scored]:
     about, prior = [], here.prior / here.scale
     for c in here.causes:
         for i in screen.atoms_of(c.candidate):

@@ -50,8 +50,10 @@ class Evidence:
 
 def posterior(A: F64, prior: F64) -> F64:
     """Covariance of x for r = G x + e with standard deviations `prior` (0: the atom is absent)."""
-    D = prior[:, None]
-    return np.asarray(D * np.linalg.solve(np.eye(len(prior)) + D * A * prior, np.diag(prior)))
+    there, found = np.flatnonzero(prior), np.zeros_like(A)
+    square, D = np.ix_(there, there), prior[there, None]
+    found[square] = D * np.linalg.solve(np.eye(len(there)) + D * A[square] * prior[there], np.diag(prior[there]))
+    return found
 
 
 def bounded(A: F64, b: F64, prior: F64, most: F64 | float) -> tuple[F64, F64]:
@@ -79,19 +81,27 @@ class Spectrum:
     """Of the information on small deviations, in units of their prior: what it says of a scale that they share."""
 
     values: F64
-    """(p,) eigenvalues."""
+    """(m,) eigenvalues, of the atoms that are there."""
     basis: F64
-    """(p, p) columns: eigenvectors."""
+    """(p, m) columns: eigenvectors."""
 
     @staticmethod
     def of(A: F64, prior: F64) -> Spectrum:
-        values, basis = np.linalg.eigh(prior[:, None] * A * prior)
+        there = np.flatnonzero(prior)
+        values, vectors = np.linalg.eigh(prior[there, None] * A[np.ix_(there, there)] * prior[there])
+        basis = np.zeros((len(prior), len(there)))
+        basis[there] = vectors
         return Spectrum(np.maximum(values, 0.0), basis)
 
     def occam(self, scale: float) -> float:
         """Nats that priors of `scale` times their size cost more than those of their full size do (below 0: less), by
         the volume that they give to what the data determine."""
         return 0.5 * float(np.log((1 + scale**2 * self.values) / (1 + self.values)).sum())
+
+    def free(self, b: F64, prior: F64, scale: float) -> F64:
+        """(p,) the most probable x at a scale, with no bounds."""
+        known = self.basis.T @ (scale * prior * b)
+        return np.asarray(scale * prior * (self.basis @ (known / (1 + scale**2 * self.values))))
 
     def least(self, b: F64, c: float, prior: F64, scale: float) -> float:
         """Misfit and cost at a scale, with no bounds."""
@@ -109,7 +119,9 @@ def scaled(A: F64, b: F64, c: float, prior: F64, spectrum: Spectrum | None = Non
     best, spectrum = (np.inf, 1.0), spectrum or Spectrum.of(A, prior)
     for least, s in sorted((spectrum.least(b, c, prior, s), s) for s in figures.SCALES):
         if least < best[0]:
-            x = bounded(A, b, s * prior, figures.REASONABLE * s * prior)[0]
+            x, most = spectrum.free(b, prior, s), figures.REASONABLE * s * prior
+            if (np.abs(x) > most).any():
+                x = bounded(A, b, s * prior, most)[0]
             best = min(best, (misfit_at(A, b, c, x, s * prior) + spectrum.occam(s), s))
     return best
 

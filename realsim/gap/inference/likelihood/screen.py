@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import zip_longest
+from typing import Any
 
 import numpy as np
 
@@ -113,6 +114,10 @@ class Screen:
         """Columns with slopes about causes, those of the set before the present one too."""
         self._informed: Recent[tuple[F64, Spectrum]] = Recent(8)
         """Information on the atoms, which all predictions share that are looked at under the same weights."""
+        self._fitted: Recent[tuple[F32, F32]] = Recent(32)
+        """Columns, and what small deviations change by them: all predictions beside the same ones share it."""
+        self.ranked: Recent[Any] = Recent(1)
+        """A set, and its candidates by the evidence that they add: several proposals look at the same."""
         self._lock = threading.Lock()
         """Held where the normal matrices are made anew."""
         self._A: list[F64] = []
@@ -421,7 +426,8 @@ class Screen:
 
     def fitted(self, k: int, x: F64) -> F32:
         """(B, C) change of the prediction of screened run k by atoms x."""
-        change = self._columns[k] @ x.astype(np.float32)
+        columns, by = self._columns[k], x.astype(np.float32)
+        change = self._fitted.get((id(columns), by.tobytes()), lambda: (columns, columns @ by))[1]
         return change.reshape(-1, len(self.comparison.channels))
 
     def weighted(self, k: int) -> F64:
@@ -438,10 +444,10 @@ class Screen:
     def settings(self, x: F64) -> list[Setting]:
         """Atoms with these coordinates (0: left out) as settings for the simulator."""
         values: dict[tuple[str, Place], dict[str, float]] = {}
-        for atom, v in zip(self.atoms, x, strict=True):
-            if v:
-                value = float(np.clip(v, *atom.parameter.bounds))
-                values.setdefault((atom.effect, atom.place), {})[atom.parameter.name] = value
+        for i in np.flatnonzero(x):
+            atom, v = self.atoms[i], float(x[i])
+            low, high = atom.parameter.bounds
+            values.setdefault((atom.effect, atom.place), {})[atom.parameter.name] = min(max(v, low), high)
         return [(name, place, named) for (name, place), named in values.items()]
 
     def columns(self, k: int, index: Sequence[int]) -> F32:
