@@ -19,7 +19,7 @@ class SceneConfig:
     hfield_resolution: float = 0.02
     """Cell size of the collision height field, metres."""
     convex_threshold: float = 0.01
-    """Largest concavity of a part of the convex decomposition, metres."""
+    """Largest concavity of a part of the convex decomposition, metres; of a scan at least the tolerance's P95."""
     convex_columns: int = 6000
     """Largest number of 1 cm columns in a convex decomposition; its time grows faster than their number."""
     robot: Annotated[str | None, tyro.conf.arg(metavar="{g1,go2,quadruped,menagerie:NAME}")] = None

@@ -1,5 +1,7 @@
 """Contact that matches the mesh: measured through contacts, for representations and for the measure itself."""
 
+import itertools
+
 import mujoco
 import numpy as np
 import pytest
@@ -17,7 +19,7 @@ from realsim.export.contact.choose import fit_contact
 from realsim.export.contact.fidelity import Fidelity
 from realsim.export.contact.probe import BALL, SimTouch, first_touch, spec_of
 from realsim.export.contact.seams import open_seams, parts_of
-from realsim.export.contact.shape import Shape
+from realsim.export.contact.shape import Shape, Solids
 from tests.export.measured import CONFIG, FACING_UP, boxes_of, fidelity
 from tests.truths.solids import TERRAINS, block, grid_mesh, terrain, with_floor
 
@@ -174,6 +176,13 @@ def test_convex_parts_of_an_overhang() -> None:
     f = fidelity(contact, mesh, probes=400, feet=0)
     assert f["p95_mm"] < 10
     assert f["phantom_area_cm2"] == 0
+
+
+def test_convex_keeps_the_pieces_that_are_convex_already() -> None:
+    mesh = with_floor(block(0, 0, 0.1, 0.1, 0.2))
+    corners = np.array(list(itertools.product((-0.1, 0.1), (-0.1, 0.1), (0.0, 0.2))))
+    contact = CONTACT["convex"](Shape(mesh, 0.0, Solids((corners,), None)), CONFIG)
+    assert contact.statistics["parts"] == len(contact.geoms) - 1 == 1
 
 
 def test_hybrid_uses_convex_parts_for_what_is_not_planar() -> None:

@@ -137,7 +137,9 @@ def fit_contact(
     if place is None:
         start, off = fidelity.touches.start, np.nan_to_num(fidelity.touches.error)
         heights = reference.top(start[:, :2], start[:, 2])
-        place = standing_place(np.column_stack([start[:, :2], heights])[np.isfinite(heights) & (np.abs(off) < 0.01)])
+        known = np.isfinite(heights)
+        true = known & (np.abs(off) < 0.01)
+        place = standing_place(np.column_stack([start[:, :2], heights])[true if true.any() else known])
     cost = step_cost(spec_of(contact), place)
     weighed = ("median_mm", "p95_mm", "phantom_over_gaps_cm2", "free_sides_cm2", "leaks")
     considered = refused + [

@@ -3,8 +3,8 @@
 import numpy as np
 
 from realsim.export.config import SceneConfig
-from realsim.export.contact.base import Asset, ContactModel, Geom
-from realsim.export.contact.convex import check_columns, convex_parts
+from realsim.export.contact.base import ContactModel
+from realsim.export.contact.convex import check_columns, with_parts
 from realsim.export.contact.islands import Island, Terrain
 from realsim.export.contact.prisms import as_contact
 from realsim.export.contact.seams import overlap
@@ -28,13 +28,7 @@ def hybrid(shape: Shape, config: SceneConfig) -> ContactModel:
     coarse = shape.coarse
     chosen = sorted({n for island in curved for n in _same_place(fine, island, coarse)})
     contact = as_contact("hybrid", prisms, fine.floor, fine.statistics | {"convex_islands": len(chosen)}, shape.solids)
-    geoms, assets = list(contact.geoms), list(contact.assets)
-    for n in chosen:
-        for k, part in enumerate(convex_parts(coarse, coarse.islands[n], config.convex_threshold)):
-            assets.append(Asset.of_points(f"convex_{n}_{k}", part))
-            geoms.append(Geom(assets[-1].name, "mesh", asset=assets[-1].name))
-    statistics = dict(contact.statistics) | {"parts": len(geoms) - len(fine.floor)}
-    return overlap(ContactModel("hybrid", tuple(geoms), tuple(assets), statistics), fine.tolerance, fine.adds)
+    return overlap(with_parts(contact, shape, chosen, config), fine.tolerance, fine.adds)
 
 
 def _same_place(fine: Terrain, island: Island, coarse: Terrain) -> set[int]:
