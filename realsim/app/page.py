@@ -129,10 +129,8 @@ def show(desk: Desk) -> None:
         shown: dict[str, Any] = {}
 
         def tick() -> None:
-            """Redraw what changed: a page that is redrawn for nothing loses the keyboard's focus."""
-            now = [
-                (w.state, w.step, w.share, round(time.monotonic()) if w.state == "running" else 0) for w in desk.works
-            ]
+            """Redraw what changed: a button that is redrawn loses the keyboard's focus, and the press of a mouse."""
+            now = [w.state for w in desk.works]
             if now != shown.get("works"):
                 ended = [w.ended for w in desk.works]
                 refresh[1]()
@@ -307,10 +305,7 @@ def _running(desk: Desk, refreshed: Callable[[], None]) -> None:
                     if not work.ended:
                         ui.button("Stop", on_click=lambda w=work: desk.cancel(w)).props("flat dense")
                 if work.state == "running":
-                    ui.label(_progress(work)).classes("text-sm")
-                    bar = ui.linear_progress(work.share or 0.0, show_value=False).props(f'aria-label="{work.step}"')
-                    if work.share is None:
-                        bar.props("indeterminate")
+                    _progress_of(work)
                 elif work.state == "failed":
                     _failure(work.result)
                 ui.label(shlex.join(["realsim", *work.arguments])).classes("text-xs font-mono opacity-70 break-all")
@@ -320,6 +315,22 @@ def _running(desk: Desk, refreshed: Callable[[], None]) -> None:
                         _result(desk, found, refreshed)
                     else:
                         ui.label(f"written into {work.out}").classes("text-sm break-all")
+
+
+def _progress_of(work: Work) -> None:
+    """A line and a bar that follow the work in place."""
+    from nicegui import ui
+
+    line = ui.label().classes("text-sm")
+    bar = ui.linear_progress(show_value=False)
+
+    def follow() -> None:
+        line.text, bar.value = _progress(work), work.share or 0.0
+        bar.props(f'aria-label="{work.step or "starting"}"')
+        bar.props(**{"add" if work.share is None else "remove": "indeterminate"})
+
+    follow()
+    ui.timer(0.5, follow)
 
 
 def _progress(work: Work) -> str:
@@ -409,7 +420,7 @@ def lines_to_use(result: Result) -> tuple[str, str]:
     python = (
         "import mujoco\nimport realsim as rs\n\n"
         f"found = rs.load_diagnosis({str(result.folder)!r})\n"
-        'spec = mujoco.MjSpec.from_file("model.xml")  # the model that was diagnosed\n'
+        'spec = mujoco.MjSpec.from_file("CASE/model.xml")  # the model that was diagnosed\n'
         "rs.apply_patch(spec, found)"
     )
     return python, f"realsim finetune SCENE --diagnosis {folder} --out tuned"
@@ -447,7 +458,7 @@ def _complain(error: RealsimError) -> Any:
 def _title(text: str) -> None:
     from nicegui import ui
 
-    ui.label(text).classes("text-lg font-medium break-all").props('role="heading" aria-level="2"')
+    ui.label(text).classes("text-lg font-medium [overflow-wrap:anywhere]").props('role="heading" aria-level="2"')
 
 
 def _plain(data: Any, indent: int = 0) -> str:

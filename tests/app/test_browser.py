@@ -94,6 +94,18 @@ def test_from_a_mesh_to_its_report_by_keyboard_alone(browser: Any, address: str,
     assert (folder / "step_contact" / "scene.xml").is_file()
 
 
+def test_a_button_stays_the_same_while_a_command_runs(browser: Any, address: str) -> None:
+    page = visit(browser, address, 1280)
+    page.get_by_label("path below the folder").fill("step.stl")
+    page.get_by_role("button", name="Open").click()
+    page.get_by_role("button", name="Make collision geometry").click(timeout=120_000)
+    page.get_by_role("button", name="Stop").focus()
+    page.wait_for_timeout(1200)
+    assert "stop" in page.evaluate("document.activeElement.innerText").lower()
+    page.keyboard.press("Enter")
+    page.get_by_text("cancelled").wait_for()
+
+
 def test_a_wrong_path_says_what_is_wrong(browser: Any, address: str) -> None:
     page = visit(browser, address, 390)
     page.get_by_label("path below the folder").fill("../../etc")
