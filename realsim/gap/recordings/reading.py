@@ -13,7 +13,7 @@ from realsim.core.progress import track
 from realsim.gap.recordings.jumps import unbroken
 from realsim.gap.recordings.names import is_sent, seconds_of
 from realsim.gap.recordings.readers import READERS
-from realsim.gap.recordings.recording import Field, Reader, Recording, Stream, Window, facts_of, no_samples
+from realsim.gap.recordings.recording import NO_SAMPLES, Field, Reader, Recording, Stream, Window, facts_of, no_samples
 from realsim.gap.recordings.signals import at, held
 from realsim.gap.recordings.tables import table
 from realsim.gap.recordings.vocabulary import KINDS, SIDES, SIGNALS, english, plain
@@ -128,16 +128,6 @@ def _finite(recording: Recording) -> Recording:
 def _folder(folder: Path, window: Window) -> list[Recording]:
     files = sorted(p for p in folder.iterdir() if not p.name.startswith("."))
     known = [(p, r) for p in files if (r := reader_of(p)) is not None]
-    if not known and (inner := _inner(files, window)):
-        return inner
-    if not known:
-        raise GapError(
-            "no recording in the folder",
-            file=folder,
-            expected="; ".join(READERS[name].looks_for for name in READERS),
-            found=", ".join(p.name for p in files[:8]) or "an empty folder",
-            hint=AS_A_TABLE if files else None,
-        )
     if len(known) > MAX_RUNS:
         raise GapError("too many recordings", file=folder, expected=f"at most {MAX_RUNS}", found=str(len(known)))
     found: list[Recording] = []
@@ -149,12 +139,19 @@ def _folder(folder: Path, window: Window) -> list[Recording]:
         except MissingExtraError:
             raise
         except RealsimError as error:
-            first = first or error
+            first = error if first is None or first.message == NO_SAMPLES else first
             lost.append(f"{path.name}: {error.message}")
-    if not found:
-        assert first is not None
-        raise first
-    merged = joined(found)
+    merged = joined(found) if found else []
+    if not found and (first is None or first.message == NO_SAMPLES):  # settings may lie beside the folders of runs
+        merged = _inner(files, window)
+    if not merged:
+        raise first or GapError(
+            "no recording in the folder",
+            file=folder,
+            expected="; ".join(READERS[name].looks_for for name in READERS),
+            found=", ".join(p.name for p in files[:8]) or "an empty folder",
+            hint=AS_A_TABLE if files else None,
+        )
     return [replace(r, notes=r.notes + tuple(lost)) if i == 0 else r for i, r in enumerate(merged)]
 
 

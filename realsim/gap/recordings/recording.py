@@ -18,6 +18,7 @@ MAX_VALUES = 60_000_000
 bytes (an MCAP of 3 million joint states, 75 million numbers: 2.1 GB)."""
 
 
+NO_SAMPLES = "the recording has no samples"
 MOST_FACTS = 200
 """Facts of one level that are kept."""
 
@@ -151,7 +152,7 @@ def no_samples(
     """The error for a file without anything numeric; says which topics there were."""
     there = "; ".join([*(f"{name} ({why})" for name, why in list((skipped or {}).items())[:12]), *notes[:2]])
     hint = None if window.whole else "does --skip lie beyond its end? `realsim log` without it reads the whole"
-    return GapError("the recording has no samples", file=path, expected=what, found=there or "nothing", hint=hint)
+    return GapError(NO_SAMPLES, file=path, expected=what, found=there or "nothing", hint=hint)
 
 
 def in_window(times: F64, window: Window) -> Bool:

@@ -41,6 +41,17 @@ def test_a_file_that_is_cut_off_is_read_as_far_as_it_goes(mcap: Path, tmp_path: 
         assert notes, length
 
 
+def test_settings_beside_folders_of_runs_hide_no_run(tmp_path: Path) -> None:
+    (tmp_path / "columns.json").write_text('{"time": "stamp"}')
+    with pytest.raises(GapError, match="no samples"):
+        read(tmp_path)
+    (tmp_path / "runs").mkdir()
+    (tmp_path / "runs" / "one.csv").write_text("time,angle\n" + "".join(f"{0.01 * k},{k % 7}\n" for k in range(200)))
+    (run,) = read(tmp_path)
+    assert run.streams[0].count == 200
+    assert any("columns.json" in note for note in run.notes)
+
+
 @pytest.mark.parametrize(
     "name", ["a.mcap", "a.bag", "a.db3", "a.parquet", "a.ulg", "a.npz", "a.csv", "a.jsonl", "a.pt"]
 )
