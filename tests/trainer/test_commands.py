@@ -183,6 +183,21 @@ def test_a_resume_with_another_strategy_is_refused(folder: Path, capsys: pytest.
     assert (said["file"], said["expected"], said["found"]) == (base, "--strategy adapter", "full")
 
 
+def test_a_resume_that_is_refused_leaves_the_run_as_it_was(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = tmp_path / "run"
+    run.mkdir()
+    (run / "result.json").write_text('{"after": null}')
+    (run / "history.jsonl").write_text("{}\n")
+    arguments = ["finetune", "flat", "--task-file", str(folder / "task.json"), "--out", str(run), *SMALL]
+    nothing, other = run / "nothing.pt", folder / "base" / "policy.pt"
+    for resumed, message in ((nothing, "cannot be read"), (other, "exists")):
+        assert message in failure(capsys, *arguments, "--resume", str(resumed))["message"]
+        assert (run / "result.json").read_text() == '{"after": null}'
+        assert (run / "history.jsonl").is_file()
+
+
 def test_a_checkpoint_that_was_edited_is_refused_before_anything_is_written(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

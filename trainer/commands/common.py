@@ -91,7 +91,7 @@ _ROOM = 50e6
 
 def check_output(out: Path, overwrite: bool, config: TrainConfig) -> None:
     """Refuse a folder that holds another run, or anything else, or has no room; a run that is resumed may be in it."""
-    if first_rank() and config.resume is None:
+    if first_rank() and (config.resume is None or out.resolve() not in config.resume.resolve().parents):
         refuse_existing(out, overwrite, ("policy.pt", "history.jsonl", "result.json"))
     if first_rank():
         check_room(out, _ROOM, "the disk has no room for a training's results")

@@ -12,7 +12,7 @@ import tyro
 
 from realsim.cli.commands import CommandResult
 from realsim.core.errors import RealsimError
-from realsim.core.files import read_json, to_json, write_text
+from realsim.core.files import read_json, read_text, to_json, write_text
 from realsim.core.progress import note
 from trainer.config import Evaluation, EvaluationConfig
 from trainer.policies import TASKS, base_of
@@ -111,8 +111,11 @@ def finetune(
         "task_file": None if task_file is None else str(task_file.absolute()),
         "before": None if before is None else before.as_dict(),
     }
+    told, made = out / "result.json", out / "policy.pt"
+    earlier = read_text(told) if config.resume is not None and told.is_file() else ""
+    since = made.stat().st_mtime_ns if made.is_file() else None
     if common.first_rank():
-        write_text(out / "result.json", to_json(data))  # a resume goes on with it
+        write_text(told, to_json(data))  # a resume goes on with it
     help_it = first_success == "help" or (first_success == "auto" and before is not None and _hardly_crosses(before))
     lands = scene
     if help_it:
@@ -121,7 +124,9 @@ def finetune(
     try:
         result = train(lands, policy, config, out)
     except (RealsimError, KeyboardInterrupt):
-        if not (out / "policy.pt").is_file():  # nothing was trained: there is no run to go on with
+        if earlier and common.first_rank() and since == (made.stat().st_mtime_ns if made.is_file() else None):
+            write_text(told, earlier)  # nothing was trained: what the run had found still holds
+        elif not made.is_file():  # nothing was trained: there is no run to go on with
             for name in ("result.json", "history.jsonl"):
                 (out / name).unlink(missing_ok=True)
             rmtree(out / "events", ignore_errors=True)
@@ -146,7 +151,7 @@ def finetune(
         "target": config.loop.target,
         "helped": help_it,
     }
-    write_text(out / "result.json", to_json(data))
+    write_text(told, to_json(data))
     lines = common.result_lines(result, config.loop.target)
     for title, evaluation in (("before", before), ("after", after)):
         lines += common.trial_lines(title, evaluation) if evaluation is not None else []
