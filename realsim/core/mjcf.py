@@ -37,7 +37,10 @@ def check_mjcf(
         RealsimError: it is no XML, has plugins where it may not, names files outside `root` or by absolute paths, or
             is too large.
     """
-    text, size = _Checker(root, problem, plugins).check(path, Path())
+    try:
+        text, size = _Checker(root, problem, plugins).check(path, Path())
+    except RecursionError as error:
+        raise problem(f"{path.name} is not plain XML", file=path, found="elements nested too deep") from error
     if size > MOST_ELEMENTS:
         raise problem(
             "the model is too large",
@@ -81,8 +84,6 @@ class _Checker:
             raise self.problem(
                 f"{path.name} is not plain XML", file=path, expected="MJCF", found=str(error) or type(error).__name__
             ) from error
-        except RecursionError as error:
-            raise self.problem(f"{path.name} is not plain XML", file=path, found="elements nested too deep") from error
         if depth == 0:
             self.home = path.parent
         if tree.tag == "robot":  # URDF: nothing in it is replicated, and plugins are Gazebo's

@@ -67,7 +67,16 @@ def test_what_is_usual_passes(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["", "<mujoco>", "<" * 100_000, "<a>" * 100_000, "\0", "<!DOCTYPE a [<!ENTITY b 'c'>]><a>&b;</a>"]
+    "text",
+    [
+        "",
+        "<mujoco>",
+        "<" * 100_000,
+        "<a>" * 100_000,
+        "<a>" * 30_000 + "</a>" * 30_000,
+        "\0",
+        "<!DOCTYPE a [<!ENTITY b 'c'>]><a>&b;</a>",
+    ],
 )
 def test_what_is_no_xml_is_an_error(text: str, tmp_path: Path) -> None:
     (tmp_path / "model.xml").write_text(text)

@@ -177,6 +177,7 @@ def test_flat_feet_have_a_sole(tmp_path: Path) -> None:
         (mjcf(extra='<body name="arm"><joint name="arm" axis="0 0 1"/><geom type="mesh" mesh="a"/></body>'), "mesh"),
         (mjcf(extra='<site name="s"/>').replace('motor joint="FL_hip"', 'motor site="s"'), "no joint"),
         ('<mujoco><worldbody><body name="b"><freejoint/><geom size=".1"/></body></worldbody></mujoco>', "driven"),
+        ('<mujoco><worldbody><body name="b"><joint name="j"/><geom size=".1"/></body></worldbody></mujoco>', "held by"),
         ("<mujoco><nothing/></mujoco>", "cannot read"),
     ],
 )  # fmt: skip

@@ -135,7 +135,7 @@ def load(path: Path) -> TrainedRobot:
         _add_servo(spec, name, file.joints[name])
     for pair in file.exclude:
         spec.add_exclude(bodyname1=pair[0], bodyname2=pair[1])
-    float_base(spec, file.base)
+    float_base(spec, file.base, model)
     home = {name: servo.default for name, servo in file.joints.items()}
     feet = split_feet(spec, file.feet, home, model)
     if file.camera is not None:
@@ -230,9 +230,16 @@ def strip(spec: Any, lock: tuple[str, ...] = ()) -> None:
         spec.delete(item)
 
 
-def float_base(spec: Any, base: str) -> None:
+def float_base(spec: Any, base: str, path: Path) -> None:
     """Give the base its free joint, if it has none."""
-    if not spec.body(base).joints:
+    joints = spec.body(base).joints
+    held = [j.name for j in joints if j.type != mujoco.mjtJoint.mjJNT_FREE]
+    if held:
+        raise TrainerError(
+            f"the base {base} is held by joints", file=path, expected="a free joint or none: training makes it walk",
+            found=", ".join(held), hint="take them out of the model of a robot with legs; an arm is not trained",
+        )  # fmt: skip
+    if not joints:
         spec.body(base).add_freejoint(name="floating_base")
 
 

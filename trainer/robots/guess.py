@@ -58,7 +58,7 @@ def guess(path: Path, out: Path) -> tuple[RobotFile, dict[str, str]]:
     base, reasons["base"] = _base(keyed)
     passive = [j.name for j in spec.joints if drives and j.name not in drives and j.type != mujoco.mjtJoint.mjJNT_FREE]
     strip(spec, tuple(passive))
-    float_base(spec, base)
+    float_base(spec, base, path)
     model = compiled(spec, path)
     hinges = [j.name for j in spec.joints if j.type == mujoco.mjtJoint.mjJNT_HINGE]
     if not hinges:
