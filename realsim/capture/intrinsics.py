@@ -101,7 +101,7 @@ def camera_matrix(values: ArrayLike, source: Path) -> tuple[F64, str]:
         flat = M[:3, :3].ravel() if padded else flat
     if flat.size != 9 or not np.isfinite(flat).all():
         raise CaptureError(
-            "a camera matrix of the wrong length", file=source, expected="9 finite numbers", found=f"{flat.size}"
+            "a camera matrix that is not nine finite numbers", file=source, found=" ".join(f"{v:g}" for v in flat[:16])
         )
     M = flat.reshape(3, 3)
     principal_last_column = bool(M[0, 2] or M[1, 2])
@@ -280,8 +280,8 @@ def _number(value: Any, source: Path) -> float:
 def _pixels(value: Any, source: Path) -> int:
     """A width or height."""
     number = _number(value, source)
-    if not np.isfinite(number):
-        raise CaptureError("the image size is not a number of pixels", file=source, found=str(number))
+    if number <= 0 or not number.is_integer():
+        raise CaptureError("the image size is not a number of pixels", file=source, found=f"{number:g}")
     return int(number)
 
 

@@ -4,6 +4,7 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from os.path import lexists
 from pathlib import Path
 
 import numpy as np
@@ -64,8 +65,9 @@ def named_for_poses(folder: Path) -> list[str]:
 
 
 def first_file(folder: Path, names: Sequence[str]) -> Path | None:
-    """The first of the names that is a file in the folder, or None."""
-    return next((folder / name for name in names if (folder / name).is_file()), None)
+    """The first of the names that is in the folder, or None. Where it is no file, or a link that leads nowhere, its
+    reader says so: nothing else is taken in its place."""
+    return next((folder / name for name in names if lexists(folder / name)), None)
 
 
 def single_file(path: Path, suffixes: Sequence[str]) -> Path | None:

@@ -76,7 +76,8 @@ def test_no_intrinsics(tmp_path):
         ("[]", "no camera parameters"),
         ('{"fx": "wide"}', "no camera parameters"),
         ('{"fx": "wide", "fy": 1, "cx": 1, "cy": 1}', "not a number"),
-        ('{"K": [1, 2, 3]}', "wrong length"),
+        ('{"K": [1, 2, 3]}', "nine finite numbers"),
+        ('{"K": [NaN, 0, 46, 0, 87, 37, 0, 0, 1]}', "nine finite numbers"),
         ('{"K": [88, 0, 0, 0, 87, 0, 0, 0, 1]}', "not a camera matrix"),
         ('{"K": [88, 0, 46, 0, 87, 37, 46, 37, 1]}', "not a camera matrix"),
         ('{"fx": -88, "fy": 87, "cx": 46, "cy": 37}', "cannot belong"),
@@ -87,6 +88,7 @@ def test_no_intrinsics(tmp_path):
         ('{"fx": 88, "fy": 87, "cx": 46, "cy": 37, "depth_scale": 0}', "not positive"),
         ('{"fx": 88, "fy": 87, "cx": 46, "cy": 37, "width": NaN, "height": 75}', "not a number of pixels"),
         ('{"fx": 88, "fy": 87, "cx": 46, "cy": 37, "width": 96, "height": Infinity}', "not a number of pixels"),
+        ('{"fx": 88, "fy": 87, "cx": 46, "cy": 37, "width": 96.5, "height": 75}', "not a number of pixels"),
         ('{"fx": 1' + "0" * 400 + ', "fy": 87, "cx": 46, "cy": 37}', "401 digits"),
         ("[" * 100_000, "broken JSON"),
         ('{"fx": 88,', "broken JSON"),
@@ -101,7 +103,17 @@ def test_intrinsics_that_cannot_be(text, said, tmp_path):
     assert "intrinsics.json" in str(caught.value.file)
 
 
-@pytest.mark.parametrize("size", ["nan nan", "96 inf"])
+def test_a_camera_file_that_leads_nowhere_is_not_passed_over(tmp_path):
+    write_plain(tmp_path, walk(3))
+    (tmp_path / "intrinsics.yaml").unlink()
+    (tmp_path / "odometry.log").touch()  # Open3D's folder: without a camera, its default is taken
+    (tmp_path / "camera_intrinsic.json").symlink_to("gone.json")
+    with pytest.raises(RealsimError, match="cannot be read") as caught:
+        read(tmp_path, CONFIG)
+    assert "camera_intrinsic.json" in str(caught.value.file)
+
+
+@pytest.mark.parametrize("size", ["nan nan", "96 inf", "-96 75"])
 def test_a_camera_in_a_line_of_text_without_a_size(size, tmp_path):
     write_plain(tmp_path, walk(3))
     (tmp_path / "intrinsics.yaml").unlink()

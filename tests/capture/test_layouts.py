@@ -266,7 +266,7 @@ def test_bop_names_what_is_wrong_with_its_cameras(tmp_path):
     good = json.loads(path.read_text())
     for key, value, error in (
         ("depth_scale", 0.1, "not one depth scale"),
-        ("cam_K", [1, 2], "wrong length"),
+        ("cam_K", [1, 2], "nine finite numbers"),
         ("cam_t_w2c", None, "nine and translation of three"),
     ):
         path.write_text(json.dumps({**good, "1": {**good["1"], key: value}}))

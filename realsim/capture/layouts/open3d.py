@@ -5,6 +5,7 @@ column, depth is in millimetres, `trajectory.log` holds camera-to-world matrices
 """
 
 from collections.abc import Sequence
+from os.path import lexists
 from pathlib import Path
 
 from realsim.capture.assemble import View, cameras, capture, depth_unit, frames_with, require_both
@@ -44,7 +45,7 @@ def intrinsics_file(folder: Path) -> Path | None:
     candidates = [folder / name for name in INTRINSICS] + sorted(folder.glob(CAM_PARAMS))
     if trajectory_file(folder) is not None:
         candidates += [folder / name for name in PLAIN]
-    return next((path for path in candidates if path.is_file()), None)
+    return next(filter(lexists, candidates), None)
 
 
 def trajectory_file(folder: Path) -> Path | None:
