@@ -300,10 +300,9 @@ def output_folder(
         RealsimError: a file, `source` in it, or a folder that is not to be, or not ours to be, replaced.
     """
     path = path.absolute()
-    if path.is_file():
-        raise RealsimError(
-            "the output is a file", file=path, expected="a folder that does not exist yet", hint="choose another --out"
-        )
+    for place in (path, *path.parents):
+        if place.is_file():
+            raise RealsimError("the output is a file", file=place, expected="a folder", hint="choose another --out")
     if source is not None:
         refuse_within(path, source)
     refuse_existing(path, overwrite, marks)

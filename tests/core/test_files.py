@@ -79,8 +79,9 @@ def test_an_input_inside_the_output_folder_is_refused(
 
 def test_output_that_is_a_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "scene").write_text("")
-    with pytest.raises(RealsimError, match="is a file"), files.output_folder(tmp_path / "scene"):
-        pass
+    for out in (tmp_path / "scene", tmp_path / "scene" / "below" / "it"):
+        with pytest.raises(RealsimError, match="is a file"), files.output_folder(out):
+            pass
 
 
 def test_full_disk_is_a_message_and_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
