@@ -40,7 +40,7 @@ class Kind:
         return self.next.format(path=shlex.quote(str(path)))
 
 
-_LOG = "realsim log {path} --model robot.xml --out case, then realsim diagnose case"
+_LOG = "realsim diagnose {path} --model robot.xml; realsim log {path} --model robot.xml --out case makes a case of it"
 KINDS = {
     kind.name: kind
     for kind in (

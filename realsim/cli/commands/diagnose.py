@@ -77,7 +77,7 @@ def diagnose(
             hint="realsim diagnose CASE --check; realsim log makes a case of a recording",
         )
     if model is None:
-        refuse_recording(cases[0], has_model=True)
+        refuse_recording(cases[0])
     elif (cases[0] / "log.json").exists():
         raise RealsimError(
             "--model belongs to a recording: this is a case, which has its own", file=cases[0],
@@ -201,21 +201,16 @@ def _why_missing(folder: Path, signal: str) -> str | None:
     return next((f"{line}; realsim log shows all" for line in lines if str(line).startswith(f"{signal}:")), None)
 
 
-def refuse_recording(path: Path, has_model: bool = False) -> None:
-    """A recording has no model yet; a case has. Raises RealsimError for what `realsim log` can read.
-
-    Args:
-        has_model: whether the command has an option for it.
-    """
+def refuse_recording(path: Path) -> None:
+    """A recording has no model yet; a case has. Raises RealsimError for what `realsim log` can read."""
     from realsim.gap.recordings.reading import reader_of
 
-    beside = "add --model robot.xml to this command; or " if has_model else ""
     if not (path / "log.json").exists() and path.exists() and reader_of(path) is not None:
         raise RealsimError(
             "this is a recording, not a case",
             file=path,
             expected="a folder with log.json, model.xml and runs/",
-            hint=f"{beside}realsim log {path} --model robot.xml --out case makes one",
+            hint=f"realsim log {path} --model robot.xml --out case makes one",
         )
 
 

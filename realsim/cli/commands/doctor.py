@@ -39,7 +39,7 @@ def doctor(
     from realsim.gap.doctor import run_doctor
 
     if model is None:
-        refuse_recording(log, has_model=True)
+        refuse_recording(log)
     with nullcontext(log) if model is None else case_for_now(log, model) as case, steps() as tick:
         found = run_doctor(
             case, out, tick, policy=policy, deploy_yaml=deploy_yaml, scene=scene, config=config, overwrite=overwrite
