@@ -18,7 +18,7 @@ from realsim.cli.table import find
 from realsim.core.engine import check_mujoco
 from realsim.core.errors import RealsimError, explain_missing_packages, require
 from realsim.core.files import to_json
-from realsim.core.progress import console, forget_interrupt, interrupt, set_quiet
+from realsim.core.progress import broken_by_interrupt, console, forget_interrupt, interrupt, set_quiet
 from realsim.core.recognise import TAKES, explain_inputs
 
 
@@ -37,7 +37,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         if signal.getsignal(signal.SIGINT) == signal.default_int_handler:
             signal.signal(signal.SIGINT, interrupt)
     try:
-        text, code = _answered(arguments, as_json)
+        with broken_by_interrupt():
+            text, code = _answered(arguments, as_json)
         return code if _write(sys.stdout, text) else 2
     except RealsimError as error:
         if as_json:

@@ -96,6 +96,17 @@ def forget_interrupt() -> None:
     _interrupted = False
 
 
+@contextmanager
+def broken_by_interrupt() -> Iterator[None]:
+    """What fails within after an interrupt is the interrupt: some packages raise an error of their own of it while they
+    are imported."""
+    try:
+        yield
+    except Exception:
+        _end_if_interrupted()
+        raise
+
+
 def _end_if_interrupted() -> None:
     if _interrupted:
         forget_interrupt()

@@ -109,3 +109,13 @@ def test_the_first_interrupt_asks_for_the_answer_so_far_and_the_second_ends() ->
     finally:
         signal.signal(signal.SIGINT, before)
         progress.forget_interrupt()
+
+
+def test_what_an_interrupt_broke_is_the_interrupt() -> None:
+    with pytest.raises(KeyboardInterrupt), progress.broken_by_interrupt():
+        try:
+            progress.interrupt()
+        except KeyboardInterrupt as error:
+            raise ImportError("initialization failed") from error
+    with pytest.raises(ImportError), progress.broken_by_interrupt():
+        raise ImportError
