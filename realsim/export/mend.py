@@ -91,6 +91,14 @@ def read_mesh(path: Path, unit: str | None = None, up: str = "auto") -> MeshFile
             "not a mesh file", file=path, expected=f"one of {' '.join(FORMATS)}", found=path.suffix, hint=hint
         )
     vertices, triangles, notes = _read(path)
+    if len(triangles) > MAX_TRIANGLES:  # before any look at them: that takes minutes
+        raise ExportError(
+            "too many triangles",
+            file=path,
+            expected=f"at most {MAX_TRIANGLES}",
+            found=str(len(triangles)),
+            hint="decimate the mesh, or cut out the part that the robot gets to",
+        )
     notes += [note for note in (loose_vertices(len(vertices), triangles), lonely_vertex(vertices)) if note]
     scale = UNITS[unit or "m"]
     if lost := lost_precision(path, vertices, scale):
@@ -241,13 +249,6 @@ def _usable(vertices: F64, triangles: NDArray[Any], notes: list[str]) -> tuple[F
     if not len(triangles):
         raise ExportError(
             "the mesh has no triangles", hint="mesh a point cloud first: realsim reconstruct CLOUD --out scene"
-        )
-    if len(triangles) > MAX_TRIANGLES:
-        raise ExportError(
-            "too many triangles",
-            expected=f"at most {MAX_TRIANGLES}",
-            found=str(len(triangles)),
-            hint="decimate the mesh, or cut out the part that the robot gets to",
         )
     sound: NDArray[np.bool_] = np.asarray(((triangles >= 0) & (triangles < len(vertices))).all(1))
     sound[sound] &= np.isfinite(vertices[triangles[sound]]).all((1, 2))
