@@ -132,12 +132,12 @@ def _grown(
         return near[:0], plane
     plane = _fitted(P, N, near, plane)
     while True:
-        near = np.array(sorted(tree.query_ball_point(P[seed], radius)), dtype=np.int64)  # type: ignore[attr-defined]
+        near = np.array(tree.query_ball_point(P[seed], radius, return_sorted=True), dtype=np.int64)  # type: ignore[attr-defined]
         near = near[free[near]]
-        taken = near[:0]
+        here, ways, taken = P[near], N[near], near[:0]
         for _ in range(FITS):
             point, normal = plane
-            on = near[(np.abs((P[near] - point) @ normal) < tolerance) & (N[near] @ normal > ALIKE)]
+            on = near[(np.abs((here - point) @ normal) < tolerance) & (ways @ normal > ALIKE)]
             if seed not in on:
                 return taken, plane
             _, part = connected_components(links[on][:, on], directed=False)  # type: ignore[index]
