@@ -174,6 +174,15 @@ def test_it_stops_rather_than_going_on() -> None:
     report = deploy(broken, _Session(np.full(12, np.nan)), BLIND, CONFIG, clock=clock, sleep=clock.sleep)
     assert "not a number" in report.reason
     assert (len(broken.targets), broken.stops) == (0, 1)
+
+    class Wild(_Robot):
+        def read(self) -> Reading:
+            return replace(super().read(), joint_pos=np.full(12, 1e30))
+
+    wild = Wild()
+    report = deploy(wild, _Session(np.zeros(12)), BLIND, CONFIG, clock=clock, sleep=clock.sleep)
+    assert "two turns" in report.reason
+    assert (len(wild.targets), wild.stops) == (0, 1)
     slow = _Clock(work=0.02)
     late = deploy(_Robot(), _Session(np.zeros(12)), BLIND, replace(CONFIG, seconds=9.0), clock=slow, sleep=slow.sleep)
     assert (late.reason, late.steps) == ("late", CONFIG.max_late)

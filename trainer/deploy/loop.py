@@ -102,8 +102,8 @@ def deploy(
         while report.steps * facts.policy_dt < config.seconds and not (until is not None and until()):
             started = clock()
             reading = robot.read()
-            if (broken := _not_a_number(reading)) is not None:
-                report.reason = f"the robot's {broken} is not a number"
+            if (broken := _broken(reading, default)) is not None:
+                report.reason = f"the robot's {broken}"
                 break
             if -reading.gravity[2] < math.cos(config.max_tilt):
                 report.reason = "tilted"
@@ -156,10 +156,14 @@ def deploy(
     return report
 
 
-def _not_a_number(reading: Reading) -> str | None:
-    """The first part of a reading that the policy would be misled by; depth may miss pixels."""
-    parts = ("gravity", "ang_vel", "joint_pos", "joint_vel")
-    return next((name for name in parts if not np.isfinite(getattr(reading, name)).all()), None)
+def _broken(reading: Reading, default: NDArray[np.float64]) -> str | None:
+    """What is wrong with the first part of a reading that the policy would be misled by; depth may miss pixels."""
+    for name in ("gravity", "ang_vel", "joint_pos", "joint_vel"):
+        if not np.isfinite(getattr(reading, name)).all():
+            return f"{name} is not a number"
+    if (abs(reading.joint_pos - default) > 4 * np.pi).any():  # targets stay near readings, and would follow
+        return "joint_pos is more than two turns from the default pose"
+    return None
 
 
 def _speed(config: DeployConfig, seconds: float) -> float:
