@@ -7,10 +7,11 @@ begin.
 import csv
 import re
 import sys
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import date
-from itertools import chain
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +39,11 @@ _BLANKS = re.compile(r"(?:^#)?[ ]+")
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 _DURATION = re.compile(r"([-+]?\d+(?:[.,]\d+)?(?:[eE][-+]?\d+)?) (sec|s|ms|min|hr)")
 """As MATLAB writes the times of a timetable."""
+_STAMPED = re.compile(r"^(\d\d:\d\d:\d\d\.\d+) -> (?=\S*(\t|,|;| ))")
+"""As Arduino's serial monitor puts the time before a line."""
+FEW = 0.02
+"""Share of the rows that may have another number of cells: what a program prints in between, lines cut on a serial
+port. Set by hand: two such logs have 0.1 and 0.2 %, tables with unquoted lists or decimal commas nearly all."""
 _END_OF_HEADER = re.compile("end[_ ]*(of[_ ]*)?header", re.IGNORECASE)
 _SECONDS = {"sec": 1.0, "s": 1.0, "ms": 1e-3, "min": 60.0, "hr": 3600.0}
 _MOMENT = re.compile(r"(?:(\d{4}-\d\d-\d\d)[T ])?(\d{1,2}):(\d\d):(\d\d(?:[.,]\d+)?)(?:Z|[+-]\d\d:?\d\d)?")
@@ -130,7 +136,8 @@ def first_lines(path: Path) -> list[str]:
     marked = _encoding(path)
     if not marked and b"\0" in data:
         return []
-    return data.decode(marked or "cp1252", errors="replace").splitlines()[:PREAMBLE]
+    lines = data.decode(marked or "cp1252", errors="replace").splitlines()[:PREAMBLE]
+    return [_STAMPED.sub(r"\1\2", line) for line in lines]
 
 
 def begin(lines: Sequence[str]) -> tuple[str, int]:
@@ -139,20 +146,24 @@ def begin(lines: Sequence[str]) -> tuple[str, int]:
     if marks:
         delimiter, first = begin(lines[marks[-1] + 1 :])
         return delimiter, marks[-1] + 1 + first
-    found, filled = [], [line for line in lines if line.strip()]
+    found = []
     for k, line in enumerate(lines):
         for delimiter in (*sorted(",;\t", key=line.count, reverse=True), " "):
             if _is_numbers(line, delimiter):
                 found.append((delimiter, k))
                 break
-    for delimiter, k in found:  # figures above the header, such as when it was recorded, do not go on below
-        at = sum(bool(line.strip()) for line in lines[:k])
-        around = [len(_split(line, delimiter)) for line in filled[max(at - 1, 0) : at + 3]]
-        header = at > 0 and not _is_numbers(filled[at - 1], delimiter)
-        goes_on = all(_is_numbers(line, delimiter) for line in filled[at + 1 : at + 3])
-        if header and goes_on and len(around) == 4 and len(set(around)) == 1:
-            return delimiter, k
-    return found[0] if found else (max(",;\t", key=lines[0].count) if lines else ",", len(lines))
+    if not found:
+        return max(",;\t", key=lines[0].count) if lines else ",", len(lines)
+    # Rows are the lines of the commonest shape, without a word before them where most have none, below a header.
+    shapes = [(delimiter, len(_split(lines[k], delimiter))) for delimiter, k in found]
+    (delimiter, width), _ = Counter(shapes).most_common(1)[0]
+    rows = [k for (_, k), shape in zip(found, shapes, strict=True) if shape == (delimiter, width)]
+    bare = [k for k in rows if number(_split(lines[k], delimiter)[0].strip() or "nan") is not None]
+    rows = bare if 2 * len(bare) >= len(rows) else rows
+    numbers = {k for _, k in found}
+    above = dict(pairwise(k for k, line in reversed([*enumerate(lines)]) if line.strip()))
+    heads = {k for k, b in above.items() if b not in numbers and len(_split(lines[b], delimiter)) == width}
+    return delimiter, next((k for k in rows if k in heads), rows[0])
 
 
 def _is_numbers(line: str, delimiter: str) -> bool:
@@ -248,6 +259,7 @@ def _split(line: str, delimiter: str) -> list[str]:
 
 def _read(path: Path, lines: Iterator[str], unit: Callable[[str], str], grown: Callable[[int], None]) -> TextTable:
     """In blocks of rows, so that no more than one block is text."""
+    lines = (_STAMPED.sub(r"\1\2", line) for line in lines)
     head = [line for _, line in zip(range(PREAMBLE), lines, strict=False)]
     delimiter, first = begin(head)
     first = 1 if first == len(head) else first
@@ -262,19 +274,14 @@ def _read(path: Path, lines: Iterator[str], unit: Callable[[str], str], grown: C
         found.notes.append(f"there is no header: the columns are called column_1 to column_{width}")
     found.parts = {name: [] for name in header}
     block: list[tuple[int, list[str]]] = []
-    size = 0
+    odd: list[tuple[int, int]] = []
+    size = number = 0
     for number, row in _rows(path, lines, delimiter, first):
         if not row or row == [""]:
             continue
-        if len(row) < len(header) and next(lines, None) is None:
-            found.notes.append(f"{path.name}: the last row is cut off: it is left out")
-            break
         if len(row) != len(header):
-            raise GapError(
-                "a row has the wrong number of cells", file=path, expected=f"{len(header)}, as in the header",
-                found=f"{len(row)} in row {number}",
-                hint="put lists in quotation marks; write decimal points where commas part the cells",
-            )  # fmt: skip
+            odd.append((number, len(row)))
+            continue
         block.append((number, row))
         if len(block) == BLOCK:
             size += found.take(block)
@@ -282,6 +289,17 @@ def _read(path: Path, lines: Iterator[str], unit: Callable[[str], str], grown: C
             block = []
     if block:
         grown(size + found.take(block))
+    if odd and odd[-1][0] == number and odd[-1][1] < len(header):
+        odd.pop()
+        found.notes.append(f"{path.name}: the last row is cut off: it is left out")
+    if odd and len(odd) > FEW * (number - first):
+        raise GapError(
+            "a row has the wrong number of cells", file=path, expected=f"{len(header)}, as in the header",
+            found=f"{odd[0][1]} in row {odd[0][0]}, and {len(odd) - 1} more such rows",
+            hint="put lists in quotation marks; write decimal points where commas part the cells",
+        )  # fmt: skip
+    if odd:
+        found.notes.append(f"{path.name}: {len(odd)} rows of another width are left out, the first is row {odd[0][0]}")
     return found
 
 
@@ -320,10 +338,9 @@ def _header(
     ]
     if not rows:
         return None
-    pairs = [row[1::2] for row in rows if width > 2 and len(set(row[::2])) == 1]
-    if len(pairs) == len(rows) > 2 and (lists := list(filter(_differ, pairs))):  # TwinCAT: Name,a,Name,b above t,a,t,b
-        names = max(lists, key=lambda found: sum(map(len, found)))
-        return [text for name in names for text in (f"{name} time", name)]
+    starts = {tuple(k for k, c in enumerate(row) if c == row[0]) for row in rows}
+    if len(rows) > 2 and len(starts) == 1 and 1 < len(clocks := next(iter(starts))) <= width / 2:
+        return _channels(rows, clocks, unit)
     header = rows.pop()
     units = [unit(c.strip("[]()")) for c in header]
     known = [bool(u) for u, c in zip(units, header, strict=True) if c and c not in ("-", "[-]")]
@@ -339,6 +356,18 @@ def _header(
         raise GapError("the header names a column twice", file=path, found=", ".join(twice)[:200],
                        hint="give each column a name of its own in the first line")  # fmt: skip
     return header
+
+
+def _channels(rows: Sequence[Sequence[str]], clocks: Sequence[int], unit: Callable[[str], str]) -> list[str] | None:
+    """TwinCAT: lines `Name,a,b,Name,c` and of other facts above t,a,b,t,c; (2) marks a name that is there twice."""
+    facts = {row[0].lower(): [c for k, c in enumerate(row) if k not in clocks] for row in rows}
+    names = [f for f in facts.values() if number(f[0]) is None and _differ([re.sub(r" \(\d+\)$", "", c) for c in f])]
+    if not names:
+        return None
+    units = [unit(u.partition(" (")[0]) for u in facts.get("unit", names[0])]
+    left = iter(f"{n} [{u}]" if u else n for n, u in zip(names[0], units, strict=True))
+    header = ["" if k in clocks else next(left) for k in range(len(rows[0]))]
+    return [n or f"{header[k + 1]} time" for k, n in enumerate(header)]
 
 
 def _differ(names: Sequence[str]) -> bool:

@@ -32,6 +32,9 @@ LEAST_CLOCK = 20
 def table(path: Path, name: str, columns: Mapping[str, F64], *, window: Window = WHOLE) -> Stream:
     """A stream from columns (T,) or (T, K) of one table; clocks are those named so, else the one that rises evenly."""
     columns = _joined_stamps(columns)
+    (lone, matrix), *others = columns.items() or [("", np.zeros(0))]
+    if not others and matrix.ndim == 2 and not _counts(matrix[:, 0]) and _clock_by_values({f"{lone}[0]": matrix[:, 0]}):
+        columns = {f"{lone}[{k}]": v for k, v in enumerate(matrix.T)}  # Simulink's To File: the time, then signals
     scalars = {n: v for n, v in columns.items() if v.ndim == 1}
     clocks = {n: v for n, v in scalars.items() if is_clock(n)}
     stamps: dict[str, F64] = {}

@@ -216,6 +216,20 @@ def test_lines_of_a_serial_port(arm: Log, tmp_path: Path) -> None:
     check(tmp_path / "a.log", tmp_path, arm)
 
 
+def test_numbers_of_a_serial_port(arm: Log, tmp_path: Path) -> None:
+    """Stamped by Arduino's monitor, with what the board says in between, and a line that was cut."""
+    body = np.hstack([arm.command, arm.pos])
+    stamps = [f"10:00:{2 + t:06.3f} -> " for t in arm.time]
+    rows = [s + "\t".join(f"{x:.5f}" for x in v) for s, v in zip(stamps, body, strict=True)]
+    rows[150:150] = ["10:00:02.749 -> WARN loop 4 ms", "10:00:02.749 -> 0.1\t0.2"]
+    (tmp_path / "a.txt").write_text("\n".join(["10:00:01.000 -> Booting v1.3", "10:00:01.100 -> 3, 0.2", *rows]))
+    (run,) = read(tmp_path / "a.txt")
+    assert "2 rows" in " ".join(run.notes)
+    found = propose([run], load_target(save(tmp_path, ARM)))
+    assert found.assignments["joint_pos"].doubtful, found.render()
+    np.testing.assert_allclose(run_arrays(found, found.recordings[0]).arrays["joint_pos"], arm.pos, atol=1e-4)
+
+
 def test_signals_of_a_scope(arm: Log, tmp_path: Path) -> None:
     """Simulink's structure with time, of several signals."""
     from scipy.io import savemat
@@ -228,6 +242,17 @@ def test_signals_of_a_scope(arm: Log, tmp_path: Path) -> None:
     arrays = run_arrays(found, found.recordings[0]).arrays
     for role, truth in (("joint_pos", arm.pos), ("command", arm.command)):
         np.testing.assert_allclose(arrays[role], truth, atol=1e-6)
+
+
+def test_a_matrix_whose_first_row_is_the_time(arm: Log, tmp_path: Path) -> None:
+    """Simulink's To File: no names, so all is in doubt."""
+    from scipy.io import savemat
+
+    savemat(tmp_path / "a.mat", {"ans": np.hstack([arm.time[:, None] + 0.5, arm.command, arm.pos, arm.vel]).T})
+    found = propose(read(tmp_path / "a.mat"), load_target(save(tmp_path, ARM)))
+    assert found.assignments["joint_pos"].source.member == "ans[3],ans[4]", found.render()
+    assert all(found.assignments[role].doubtful for role in ("joint_pos", "command"))
+    np.testing.assert_allclose(run_arrays(found, found.recordings[0]).arrays["joint_pos"], arm.pos)
 
 
 def test_joints_as_structures_with_names(arm: Log, tmp_path: Path) -> None:

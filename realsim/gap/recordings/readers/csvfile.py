@@ -36,9 +36,11 @@ def read(path: Path, window: Window) -> list[Recording]:
     if not columns:
         raise no_samples(path, "a header and one row per sample")
     notes = list(found.notes)
-    timed = {n: (columns[f"{n} time"], v) for n, v in columns.items() if f"{n} time" in columns}
-    if timed and 2 * len(timed) == len(columns):  # each has a clock of its own
-        columns = on_one_clock({n: (t[np.isfinite(t)], v[np.isfinite(t)]) for n, (t, v) in timed.items()})
+    names = list(columns)
+    clocks = [k for k, n in enumerate(names[1:]) if names[k] == f"{n} time"]
+    if clocks[:1] == [0]:  # each group of signals has a clock of its own
+        of = {n: columns[names[max(c for c in clocks if c <= k)]] for k, n in enumerate(names) if k not in clocks}
+        columns = on_one_clock({n: (t[np.isfinite(t)], columns[n][np.isfinite(t)]) for n, t in of.items()})
     stream = None if found.header else _echoed(path, found, window)
     if stream is None and (fields := a_column_a_joint(columns, found.words, notes)):
         stream = labelled(path, *fields, window)
