@@ -9,7 +9,7 @@ import numpy as np
 
 from realsim.core.statistics import alike
 from realsim.core.types import F64
-from realsim.gap.case.units import ANGLE, NEAR, TORQUE, TURNING, factor, nearest_unit, travelled
+from realsim.gap.case.units import ANGLE, LENGTH, NEAR, TORQUE, TURNING, factor, nearest_unit, travelled
 from realsim.gap.recordings.evidence import SAME, Evidence, two_robots
 from realsim.gap.recordings.model import ALPHABETICAL, MODELS_ORDER, Target
 from realsim.gap.recordings.names import is_electric, is_other, known_type, match_joints, rawness
@@ -74,15 +74,9 @@ def position(e: Evidence) -> None:
             f"model {len(e.target.joints)} joints ({', '.join(e.target.joints[:6])}): no name agrees"
         )
         return
-    values, ranges = field.values[:, columns], e.target.ranges[[e.target.joints.index(n) for n in names]]
-    unit, offset, why = _unit(ranges, values, source.unit)
-    size = ANGLE.get(unit, 2 * np.pi / TICKS)
-    values = (values - offset) * size
-    turns = not source.unit and unit == "rad" and _share_within(ranges, 2 * np.pi * values) > SURELY
-    if turns:  # joints without ranges are within them in any unit
-        doubtful = True
-        why += "; in turns they may be, too: give the unit in the column's name, q1 [rad]"
-    doubtful |= unit == "ticks"  # how many a turn has, and where zero is, is nowhere in the data
+    ranges = e.target.ranges[[e.target.joints.index(n) for n in names]]
+    values, size, offset, unit, why, odd = _in_si(e.target, names, field.values[:, columns], source.unit)
+    doubtful |= odd
     signs, turned = _signs(ranges, names, values)
     narrow = _narrow(e.target)
     beyond = _within(ranges, names, values * signs)
@@ -212,9 +206,8 @@ def _order_score(e: Evidence, field: Field, order: Mapping[int, str], source: Ca
     """(agreement 0 to 1 of an order of unnamed columns with the model, what it consists of)."""
     assert e.target is not None
     columns, names = list(order), list(order.values())
-    values, ranges = field.values[:, columns], e.target.ranges[[e.target.joints.index(n) for n in names]]
-    unit, offset, _ = _unit(ranges, values, source.unit)
-    values = (values - offset) * ANGLE.get(unit, 2 * np.pi / TICKS)
+    ranges = e.target.ranges[[e.target.joints.index(n) for n in names]]
+    values, *_ = _in_si(e.target, names, field.values[:, columns], source.unit)
     parts = {"in range": _share_within(ranges, values)}
     level = _feet_level(e, names, values)
     if level is not None:
@@ -255,26 +248,46 @@ def _feet_level(e: Evidence, order: Sequence[str], values: F64) -> float | None:
 # ---------------------------------------------------------------- units and signs of positions
 
 
-def _unit(ranges: F64, values: F64, declared: str) -> tuple[str, float, str]:
+def _in_si(target: Target, names: Sequence[str], values: F64, declared: str) -> tuple[F64, F64, F64, str, str, bool]:
+    """(values (T, K) in rad and m, (K,) factors, (K,) offsets, unit, why, whether in doubt): hinges, then slides."""
+    ranges = target.ranges[[target.joints.index(n) for n in names]]
+    hinges = np.array([target.model.joint(n).type[0] == HINGE for n in names])
+    size, offset, found, said, doubtful = np.ones(len(names)), np.zeros(len(names)), [], [], False
+    for kind, units in (both for both in ((hinges, ANGLE), (~hinges, LENGTH)) if both[0].any()):
+        unit, offset[kind], why = _unit(ranges[kind], values[:, kind], declared, units)
+        size[kind] = units.get(unit, 2 * np.pi / TICKS)
+        usual, free = next(iter(units)), not np.isfinite(ranges[kind]).all(axis=1).any()
+        turned = _share_within(ranges[kind], 2 * np.pi * values[:, kind])
+        if unit == "rad" and declared not in units and turned > SURELY:
+            doubtful = True  # joints without ranges are within them in any unit
+            why += "; in turns they may be, too: give the unit in the column's name, q1 [rad]"
+        # How many steps a turn has, where zero is, and what unit a size alone tells, is nowhere in the data.
+        doubtful |= unit == "ticks" or ((free or units is LENGTH) and unit not in (declared, usual))
+        found.append(unit)
+        said.append(why)
+    return (values - offset) * size, size, offset, found[0], "; slides ".join(said), doubtful
+
+
+def _unit(ranges: F64, values: F64, declared: str, units: Mapping[str, float]) -> tuple[str, float, str]:
     """(unit, offset in it, why): what puts the joints into their ranges; what is declared unless plainly wrong."""
     largest = float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values)))
     whole = values[np.isfinite(values)]
-    steps = bool((whole == np.round(whole)).all()) and largest > 400
+    steps = bool((whole == np.round(whole)).all()) and largest > 400 and "rad" in units
     in_steps = f"whole numbers up to {largest:.0f}: encoder steps, {TICKS} a turn, zero in the middle"
     if not np.isfinite(ranges).all(axis=1).any():
-        if declared in ANGLE:
+        if declared in units:
             return declared, 0.0, f"in {declared}, as is declared"
         if steps:
             return "ticks", TICKS / 2, in_steps
-        unit = "deg" if largest > 4 * np.pi else "rad"
+        unit = next(iter(units)) if largest < 4 * np.pi else "deg" if "deg" in units else "mm"
         return unit, 0.0, f"largest value {largest:.3g}: taken as {unit} (the model's joints have no ranges to test)"
-    read = {u: values * f for u, f in ANGLE.items() if u != "mrad"}
+    read = {u: values * f for u, f in units.items() if u != "mrad"}
     if steps:
         read["ticks"] = (values - TICKS / 2) * 2 * np.pi / TICKS
     shares = {u: _share_within(ranges, v) for u, v in read.items()}
     # A unit that shrinks everything to nothing is in range too: of equal ones the one that fills the range wins.
     score = {u: shares[u] + 0.3 * _filling(ranges, v) for u, v in read.items()}
-    usual = declared if declared in score else "rad"
+    usual = declared if declared in score else next(iter(units))
     best = max(score, key=lambda u: score[u])
     fits = not declared and not steps and shares[usual] > SURELY  # small motion in rad fills more as turns
     unit = best if score[best] > score[usual] + CLEAR and not fits else usual

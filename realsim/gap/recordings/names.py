@@ -54,7 +54,7 @@ _NOT = {
     word
     for words in (
         "error temperature voltage raw ddq qdd kp kd ki limit limits min max power fric friction gravity",
-        "grav comp compensation ff feedforward std var status mode tcp tool ee eef flange cartesian",
+        "grav comp compensation ff feedforward std var status mode tcp tool ee eef flange cartesian flux",
     )
     for word in words.split()
 }
@@ -220,6 +220,7 @@ def match_joints(labels: Sequence[str], joints: Sequence[str]) -> dict[int, str]
             [j for j, w in words.items() if own == w],
             [j for j, w in words.items() if 0 < len(w) < n and own[-len(w) :] == w],
             [j for j, w in words.items() if named and n < len(w) and w[:n] == own],  # `knee` of `knee_pitch`
+            [j for j, w in words.items() if named and n < len(w) and w[-n:] == own],  # `pan` of `head_pan`
             [j for j, w in words.items() if n == 1 < len(own[0]) and named and w and w[0].startswith(own[0])],  # `sh`
         )
         fitting = next(filter(None, ways), [])

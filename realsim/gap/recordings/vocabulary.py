@@ -23,7 +23,7 @@ _SIGNALS = {
     " vitesses velocidad velocidades velocita 速度 转速",
     "torque": "tau taus torque torques effort efforts trq tq load drehmoment moment couple couples coppia esfuerzo 力矩"
     " 扭矩 トルク",
-    "electric": "amps iq strom courant corriente corrente 电流 電流",
+    "electric": "electric amps iq strom courant corriente corrente 电流 電流",
     "current": "current currents",
     "observation": "observation obs data value values measured_value sensor",
     "filtered": "filt filtered filter smooth smoothed lowpass est estimate estimated gefiltert filtre",
@@ -40,6 +40,7 @@ _PARTS = {
     "fl": "lf", "fr": "rf", "rl": "lh", "rr": "rh",
     "leg": "leg bein jambe pierna gamba", "left": "left links gauche izquierda izquierdo sinistra sinistro 左",
     "right": "right rechts droite droit derecha derecho destra destro 右", "waist": "waist taille cintura",
+    "pan": "pan schwenk", "tilt": "tilt neigung inclinaison inclinacion",
     "gripper": "gripper greifer pince pinza 夹爪", "error": "error err errors fehler abweichung erreur 误差 偏差",
     "temperature": "temp temps temperature temperatures temperatur 温度",
     "voltage": "volt volts voltage voltages spannung tension 电压 電圧",
@@ -125,7 +126,8 @@ def is_clock(name: str) -> bool:
 def english(name: str) -> tuple[str, ...]:
     """The words of a name in English, numbers apart and its unit left out: `FL_Ist2 [rad]` -> fl, measured, 2."""
     text = _FOREIGN_SCRIPT.sub(lambda m: f" {_ENGLISH[m[0]]} ", split_unit(name)[0])
-    found = [w for token in re.findall(r"[a-z]+|[0-9]+", plain(text)) for w in _meant(token)]
+    text = re.sub(r"(?<![a-z])d_axis", "flux", re.sub(r"(?<![a-z])q_axis", "electric", plain(text)))  # of a motor
+    found = [w for token in re.findall(r"[a-z]+|[0-9]+", text) for w in _meant(token)]
     kind = any(w in KINDS for w in found)
     # `current_position` is the present one; `motor_current` is in amperes.
     return tuple({"current": "measured" if kind else "electric"}.get(w, w) for w in found)

@@ -230,6 +230,26 @@ def test_numbers_of_a_serial_port(arm: Log, tmp_path: Path) -> None:
     np.testing.assert_allclose(run_arrays(found, found.recordings[0]).arrays["joint_pos"], arm.pos, atol=1e-4)
 
 
+def test_slides_in_mm_and_channels_that_share_a_clock(arm: Log, tmp_path: Path) -> None:
+    """TwinCAT's Scope: a clock for each rate, and names that are the end of the joints' names."""
+    model = ARM.replace("shoulder_joint", "gantry_x").replace("elbow_joint", "gantry_y")
+    model = model.replace("<joint ", '<joint type="slide" ')
+    names = ["X_ActPos", "Y_ActPos", "X_SetPos", "Y_SetPos"]
+    head = ["Name\tgantry", "", "\t".join(["Name", *names, "Name", "X_Load"])]
+    for key, value in (("SampleTime[ms]", "5"), ("Bits", "8"), ("Symbol", "a"), ("Unit", "mm (Length)")):
+        head.append("\t".join([key, *[value] * 4, key, value]))
+    rows = []
+    for k, (t, q, u) in enumerate(zip(arm.time, 1e3 * arm.pos, 1e3 * arm.command, strict=True)):
+        slow = f"{16 * k}\t{k % 7}" if 4 * k < len(arm.time) else "\t"
+        rows.append(f"{1e3 * t:.0f}\t" + "\t".join(f"{x:.4f}" for x in (*q, *u)) + f"\t{slow}")
+    (tmp_path / "a.csv").write_text("\n".join([*head, "", *rows, "EOF"]))
+    found = propose(read(tmp_path / "a.csv"), load_target(save(tmp_path, model)))
+    arrays = run_arrays(found, found.recordings[0]).arrays
+    for role, truth in (("joint_pos", arm.pos), ("command", arm.command)):
+        assert not found.assignments[role].doubtful, found.render()
+        np.testing.assert_allclose(arrays[role][:-1], truth[:-1], atol=1e-6)
+
+
 def test_signals_of_a_scope(arm: Log, tmp_path: Path) -> None:
     """Simulink's structure with time, of several signals."""
     from scipy.io import savemat

@@ -325,7 +325,7 @@ def test_a_window_of_time(arm: Log, tmp_path: Path) -> None:
         ("tau_est", "joint_torque"), ("torque_cmd", "command.torque"), ("base_ang_vel", "imu_gyro"), ("temp", ""),
         ("motor_cmd.q", "command.position"), ("motor_state.q", "joint_pos"), ("motor_cmd.kp", ""),
         ("motor_cmd.mode", ""), ("state.tau", "joint_torque"),
-        ("torque_enable", "enabled"),
+        ("torque_enable", "enabled"), ("q_axis_current", "joint_torque"),
         ("position_error", ""), ("linear_acceleration", "imu_acc"), ("foot_contacts", "contact"), ("qpos", "joint_pos"),
     ],
 )  # fmt: skip
@@ -348,6 +348,7 @@ def test_joints_by_labels() -> None:
         0: "FL_calf_joint", 1: "FL_hip_joint", 2: "joint1",
     }  # fmt: skip
     assert match_joints(["a", "b"], joints) == {}
+    assert match_joints(["Schwenk", "tilt"], ["head_pan", "head_tilt"]) == {0: "head_pan", 1: "head_tilt"}
 
 
 @given(st.lists(st.lists(st.floats(-1e6, 1e6), min_size=3, max_size=3), min_size=1, max_size=8))
