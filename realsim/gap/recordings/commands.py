@@ -273,14 +273,16 @@ def _measured_torque(e: Evidence) -> None:
     """Torque motors and no command in the log: what was measured is what drove the joints."""
     torque(e, unnamed=True)
     found = e.proposal.assignments.get("joint_torque")
-    if found is None or e.target is None:
+    if found is None or e.target is None or e.proposal.torque_kind != "measured":  # a current is none in N m
         return
+    asked = _leader(e)
+    said = f"but they follow {asked.label}: were they commanded by it? --use command={asked.label}" if asked else ""
     keep = [j for j in range(len(e.target.actuators)) if e.target.driven[j] in found.targets]
     at = [found.targets.index(e.target.driven[j]) for j in keep]
     e.settle(
         "command", found.source, [found.columns[i] for i in at], [e.target.actuators[j] for j in keep],
-        ["no command was recorded, and the model's actuators are torque motors: the measured torque drives them"],
-        scale=[found.scale[i] for i in at], unit=found.unit, doubtful=found.doubtful,
+        ["no command was recorded, and the model's actuators are torque motors: the measured torque drives them", said],
+        scale=[found.scale[i] for i in at], unit=found.unit, doubtful=found.doubtful or bool(said),
     )  # fmt: skip
     e.proposal.command_kind = "torque"
 

@@ -4,6 +4,7 @@ Each hypothesis is measured against the others (a velocity against the positions
 a torque against inverse dynamics, ranges of the joints), and the measure is what is shown as its evidence.
 """
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -28,6 +29,8 @@ MOVES = 1e-3
 """rad of spread from which a joint moves."""
 LETTERS = {"r": "target position", "y": "measured position", "u": "control torque"}
 """Reference, output and input of a plant in textbooks of control, where y and u stand side by side."""
+DESIRED = re.compile(r"(^|[\W_])(d?q|theta|tau(_?J)?)_d$")
+"""As papers and libfranka write what is desired: q_d, tau_J_d; it may be a slope where velocities have no name."""
 FOLLOWS = 0.7
 """Correlation below which a joint does not follow its command."""
 
@@ -130,7 +133,11 @@ def _candidates(recording: Recording) -> list[Candidate]:
             role, unit, why = meaning(stream.name, stream.type, letter or name)
             why = f"the letter {name!r} of control engineering" if letter else why
             found.append(Candidate(stream.name, name, role, field.unit or unit, why))
-    return found
+    known = {c.role.partition(".")[0] for c in found if not DESIRED.search(c.member)}
+    if "joint_vel" not in known or "command" in known:
+        return found
+    roles = {c: meaning("", "", f"{c.member[:-2]}_desired")[0] for c in found if DESIRED.search(c.member)}
+    return [replace(c, role=roles[c], why=f"the letter d of {c.member!r}") if c in roles else c for c in found]
 
 
 def _by_values(recording: Recording, target: Target | None, uses: Mapping[str, overrides.Use]) -> list[str]:

@@ -216,6 +216,15 @@ def test_lines_of_a_serial_port(arm: Log, tmp_path: Path) -> None:
     check(tmp_path / "a.log", tmp_path, arm)
 
 
+def test_the_letter_d_of_what_is_desired(arm: Log, tmp_path: Path) -> None:
+    """libfranka's names."""
+    head = "Time,q_1,q_2,dq_1,dq_2,tau_J_1,tau_J_2,q_d_1,q_d_2"
+    path = write(tmp_path / "a.csv", head, arm.time, arm.pos, arm.vel, arm.torque, arm.command)
+    found = propose(read(path), load_target(save(tmp_path, ARM)))
+    assert found.assignments["command"].source.member == "q_d", found.render()
+    assert not found.assignments["command"].doubtful
+
+
 def test_numbers_of_a_serial_port(arm: Log, tmp_path: Path) -> None:
     """Stamped by Arduino's monitor, with what the board says in between, and a line that was cut."""
     body = np.hstack([arm.command, arm.pos])
