@@ -82,7 +82,7 @@ def _echoed(path: Path, found: TextTable, window: Window) -> Stream | None:
     """
     columns, (stamp, *rest) = found.columns, list(found.parts)
     nanoseconds = columns.get(rest[0]) if rest else None
-    if nanoseconds is None or any(len(set(words)) > 1 for words in found.words.values()):
+    if nanoseconds is None or stamp not in columns or any(len(set(words)) > 1 for words in found.words.values()):
         return None
     names = [n for n in rest[2:] if n in found.words]
     numbers = rest[2 + len(names) :]
