@@ -204,7 +204,7 @@ def _scale(
     place = e.proposal.assignments["joint_pos"]
     at = [place.targets.index(j) for j in joints]
     scale, offset = np.array(place.scale)[at], np.array(place.offset)[at]
-    factors, said, doubtful = [], [], False
+    factors, said, doubtful = [], [], place.doubtful
     for time, asked, done in e.in_runs(source, "joint_pos"):
         for k, column in enumerate(columns):
             corr, _, gain, _ = follows(time, scale[k] * (asked[:, column] - offset[k]), done[:, at[k]])

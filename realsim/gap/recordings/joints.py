@@ -76,6 +76,8 @@ def position(e: Evidence) -> None:
         return
     ranges = e.target.ranges[[e.target.joints.index(n) for n in names]]
     values, size, offset, unit, why, odd = _in_si(e.target, names, field.values[:, columns], source.unit)
+    if unit == "deg" and not source.unit and e.stream(source).type == "lerobot" and np.nanmax(np.abs(values)) < 1.75:
+        odd, why = True, f"{why}; LeRobot's -100 to 100 of the range look alike: were they recorded with use_degrees?"
     doubtful |= odd
     signs, turned = _signs(ranges, names, values)
     narrow = _narrow(e.target)
