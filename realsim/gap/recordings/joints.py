@@ -75,7 +75,7 @@ def position(e: Evidence) -> None:
         )
         return
     ranges = e.target.ranges[[e.target.joints.index(n) for n in names]]
-    values, size, offset, unit, why, odd = _in_si(e.target, names, field.values[:, columns], source.unit)
+    values, sizes, offset, unit, why, odd = _in_si(e.target, names, field.values[:, columns], source.unit)
     if unit == "deg" and not source.unit and e.stream(source).type == "lerobot" and np.nanmax(np.abs(values)) < 1.75:
         odd, why = True, f"{why}; LeRobot's -100 to 100 of the range look alike: were they recorded with use_degrees?"
     doubtful |= odd
@@ -84,7 +84,7 @@ def position(e: Evidence) -> None:
     beyond = _within(ranges, names, values * signs)
     nameless = not source.role and "joint_pos" not in e.chosen
     e.settle("joint_pos", source, columns, names, [f"by {source.why}", how, why, *turned, beyond, narrow],
-             scale=size * signs, offset=offset, unit=unit,
+             scale=sizes * signs, offset=offset, unit=unit,
              doubtful=doubtful or nameless or bool(narrow or beyond))  # fmt: skip
 
 
