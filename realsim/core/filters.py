@@ -36,10 +36,11 @@ def local_polynomials(values: F64, half: int, degree: int, order: int, step: flo
 def low_pass(values: F64, keeps: float) -> F64:
     """(N, ...) what a first-order filter makes of samples (N, ...) that keeps this share of what it showed at the last;
     steady before the first."""
-    from scipy.linalg.lapack import dtbtrs
+    from scipy.linalg import solve_banded
 
+    if not values.size:  # no joints
+        return np.asarray(values, float)
     given = (1 - keeps) * values
     given[0] += keeps * values[0]
     bands = np.array([np.ones(len(values)), np.full(len(values), -keeps)])
-    found, _ = dtbtrs(bands, given, uplo="L")
-    return np.asarray(found).reshape(values.shape)
+    return np.asarray(solve_banded((1, 0), bands, given.reshape(len(values), -1))).reshape(values.shape)

@@ -36,3 +36,9 @@ def test_low_pass(keeps: float) -> None:
     np.testing.assert_allclose(low_pass(VALUES, keeps), expected, rtol=1e-12)
     np.testing.assert_allclose(low_pass(VALUES[:, 1], keeps), expected[:, 1], rtol=1e-12)
     np.testing.assert_allclose(low_pass(np.full(9, 3.0), keeps), 3.0)
+    for few in (VALUES[:, :0], VALUES[:1]):
+        assert low_pass(few, keeps).shape == few.shape
+
+
+def test_no_columns_are_filtered_to_none() -> None:
+    assert local_polynomials(VALUES[:, :0], 2, 2, 1, 0.1).shape == (len(VALUES), 0)
