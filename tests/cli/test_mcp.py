@@ -53,7 +53,7 @@ def good(answer: Any) -> dict[str, Any]:
 @pytest.fixture
 def root(tmp_path: Path) -> Path:
     (tmp_path / "open").mkdir()
-    trimesh.creation.box((0.6, 0.4, 0.3)).export(tmp_path / "open" / "box.stl")
+    trimesh.creation.box((0.6, 0.4, 0.2)).export(tmp_path / "open" / "box.stl")
     (tmp_path / "secret").mkdir()
     trimesh.creation.box((1, 1, 1)).export(tmp_path / "secret" / "box.stl")
     return tmp_path / "open"

@@ -167,14 +167,6 @@ def test_a_table_without_its_top_stands_on_its_feet(tmp_path: Path, turned: bool
     assert read_mesh(tmp_path / ("a.glb" if turned else "a.stl")).up.axis == ("y" if turned else "z")
 
 
-@pytest.mark.parametrize("size", [0.1, 0.25, 0.5])
-def test_what_is_small_has_as_many_cells_as_what_is_not(size: float) -> None:
-    mesh = trimesh.creation.icosphere(3, size / 2)
-    made = terrain(as_terrain(mesh), -size / 2)
-    assert min(made.grid.top.shape[1:]) >= 99
-    assert made.tolerance <= 0.006 * size + 1e-9
-
-
 def test_a_thin_lip_does_not_make_the_board_behind_it_thin() -> None:
     """Balls that fall from a worktop went through the floor of a cabinet, as thick as its front edge."""
     board = trimesh.creation.box((1.0, 0.6, 0.08)).apply_translation((0, 0, 0.36))

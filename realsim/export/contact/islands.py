@@ -22,7 +22,6 @@ MOST_FINE = (
 WITHIN = 4.0  # cells in its thinnest wall (a round post of 4 has the 12 that make a plane); at least...
 THROUGH = 3.0  # cells by which a hull may stand out where parts are made one, so no thin wall is filled: glasses of
 # 2 and 3 mm have 0.6 % of heights off for 7.0 (16 parts for 8); a grating of 5 mm keeps 60 parts, and has 187 with 2
-SMALL = 0.5  # metres: what is smaller has cells of a hundredth of its size, and planes and hulls as much closer
 SHARE = 0.25  # ...this share of a reconstruction's resolution, below which there is nothing to find
 THINNER, SIDES = 2, 2000  # percent of the walls that may be thinner (set on posts of 1.5 cm in a place of 2 m; not
 # measured on others), and places at which they are measured
@@ -90,16 +89,14 @@ def terrain(mesh: TerrainMesh, ground_z: float, cell: float | None = None) -> Te
         cell: metres between columns, at least; None: as fine as the mesh needs.
     """
     check_extent(mesh)
-    scale = 1.0
     if mesh.noise_m is None:  # made by hand: its long edges are exact
-        size = np.ptp(mesh.vertices[np.unique(mesh.triangles)], axis=0)
-        scale = min(1.0, float(size.max()) / SMALL)
-        finest = max(FINEST, float(np.sqrt(size[:2].prod() / MOST_FINE)))
-        cell = cell or float(np.clip(_thinnest(mesh) / WITHIN, finest, scale * CELL))
+        size = np.ptp(mesh.vertices[np.unique(mesh.triangles), :2], axis=0)
+        finest = max(FINEST, float(np.sqrt(size.prod() / MOST_FINE)))
+        cell = cell or float(np.clip(_thinnest(mesh) / WITHIN, finest, CELL))
     else:
         cell = max(cell or CELL, SHARE * mesh.resolution)
     grid = columns(mesh, ground_z, cell)
-    tolerance = float(np.clip(2 * (mesh.noise_m or 0.0), scale * FINE, ROUGH))
+    tolerance = float(np.clip(2 * (mesh.noise_m or 0.0), FINE, ROUGH))
     floor: tuple[Geom, ...] = (floor_plane(ground_z),)
     base = ground_z
     pits = _pits(grid, ground_z - max(PIT, NOISES * (mesh.noise_m or 0.0)))
