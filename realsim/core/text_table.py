@@ -107,13 +107,17 @@ class TextTable:
 
 
 def read_text_table(
-    path: Path, unit: Callable[[str], str] = lambda cell: "", grown: Callable[[int], None] = lambda size: None
+    path: Path,
+    unit: Callable[[str], str] = lambda cell: "",
+    grown: Callable[[int], None] = lambda size: None,
+    odd: float = 0.0,
 ) -> TextTable:
     """The columns of numbers of a file.
 
     Args:
         unit: what a cell of a line of units says, or nothing; columns are then called `name [unit]`.
         grown: called with the count of numbers read so far; may raise.
+        odd: share of rows of another width that may be left out, with a note.
 
     Raises:
         GapError: not text, a header that names a column twice, a row or cell that does not end where it should.
@@ -122,7 +126,7 @@ def read_text_table(
     for encoding in ENCODINGS:
         try:
             with path.open(encoding=_encoding(path) or encoding, newline="", errors="strict") as file:
-                return _read(path, file, unit, grown)
+                return _read(path, file, unit, grown, odd)
         except UnicodeError as error:
             if encoding == ENCODINGS[-1] or b"\0" in path.open("rb").read(4096):
                 raise GapError("not a text file", file=path, expected="UTF-8 text", found=str(error)) from error
@@ -257,7 +261,9 @@ def _split(line: str, delimiter: str) -> list[str]:
     return next(csv.reader([_BLANKS.sub(" ", line.strip()) if delimiter == " " else line], delimiter=delimiter), [])
 
 
-def _read(path: Path, lines: Iterator[str], unit: Callable[[str], str], grown: Callable[[int], None]) -> TextTable:
+def _read(
+    path: Path, lines: Iterator[str], unit: Callable[[str], str], grown: Callable[[int], None], most_odd: float
+) -> TextTable:
     """In blocks of rows, so that no more than one block is text."""
     lines = (_STAMPED.sub(r"\1\2", line) for line in lines)
     head = [line for _, line in zip(range(PREAMBLE), lines, strict=False)]
@@ -292,7 +298,7 @@ def _read(path: Path, lines: Iterator[str], unit: Callable[[str], str], grown: C
     if odd and odd[-1][0] == number and odd[-1][1] < len(header):
         odd.pop()
         found.notes.append(f"{path.name}: the last row is cut off: it is left out")
-    if odd and len(odd) > FEW * (number - first):
+    if odd and len(odd) > most_odd * (number - first):
         raise GapError(
             "a row has the wrong number of cells", file=path, expected=f"{len(header)}, as in the header",
             found=f"{odd[0][1]} in row {odd[0][0]}, and {len(odd) - 1} more such rows",

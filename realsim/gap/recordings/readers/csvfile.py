@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from realsim.core.errors import GapError
-from realsim.core.text_table import TextTable, begin, first_lines, read_text_table
+from realsim.core.text_table import FEW, TextTable, begin, first_lines, read_text_table
 from realsim.core.types import F64
 from realsim.gap.recordings.recording import Reader, Recording, Stream, Window, no_samples, refuse_more
 from realsim.gap.recordings.tables import a_column_a_joint, by_topic, labelled, on_one_clock
@@ -28,7 +28,7 @@ def recognise(path: Path) -> bool:
 
 
 def read(path: Path, window: Window) -> list[Recording]:
-    found = read_text_table(path, lambda cell: split_unit(f"x [{cell}]")[1], lambda size: refuse_more(path, size))
+    found = read_text_table(path, lambda cell: split_unit(f"x [{cell}]")[1], lambda size: refuse_more(path, size), FEW)
     numbers = {n: v for n, v in found.columns.items() if np.isfinite(v).any()}
     dropped, columns = [n for n in found.parts if n and n not in numbers], _untagged(numbers)
     if not columns and found.columns:
