@@ -43,6 +43,6 @@ def low_pass(values: F64, keeps: float) -> F64:
     given = (1 - keeps) * values
     given[0] += keeps * values[0]
     bands = np.array([np.ones(len(values)), np.full(len(values), -keeps)])
-    return np.asarray(solve_banded((1, 0), bands, given.reshape(len(values), -1), check_finite=False)).reshape(
-        values.shape
-    )
+    # Not finite where a simulation diverged, which is refused by name later.
+    found = solve_banded((1, 0), bands, given.reshape(len(values), -1), check_finite=False)
+    return np.asarray(found).reshape(values.shape)

@@ -17,7 +17,7 @@ MAX_MODEL_BYTES = 64 * 2**20
 MODELS_ORDER = "the model's order"
 ALPHABETICAL = "alphabetical"
 UNLIMITED = 1e6
-"""N m of a servo at a joint without a limit of torque."""
+"""N m of a servo at a joint without a limit of torque: beyond any motor, so that it never clips."""
 FOOT_HEIGHT = 0.05
 """m above the lowest leaf body in the reference pose up to which a leaf is taken for a foot."""
 
