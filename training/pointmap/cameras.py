@@ -11,6 +11,10 @@ D435_FOCAL = 0.961
 """Focal length over width of a D435i's colour camera at 640x480."""
 ASKEW = 0.2
 """Share of scenes whose camera is held askew, as a hand does that reaches under or around something."""
+LEVEL = 0.25
+"""Share of scenes whose camera looks along the floor from a few hand's breadths above it, as on a small quadruped."""
+AROUND = 0.2
+"""Share of scenes in which the camera looks around, so that its first and last views share little."""
 
 
 def intrinsics(draw: Draw, scenes: int, size: tuple[int, int]) -> Tensor:
@@ -42,7 +46,10 @@ def path(draw: Draw, scenes: int, views: int) -> tuple[Tensor, Tensor]:
     hand = draw.chance(0.6, b)
     height = torch.where(hand, draw.uniform(0.8, 1.8, b), draw.uniform(0.3, 1.1, b))
     angle, far = draw.uniform(-math.pi, math.pi, b), draw.log_uniform(0.5, 3.0, b)
-    target = torch.stack([draw.normal(0.9, b), draw.normal(0.35, b), draw.uniform(0.0, 0.5, b)], -1)
+    level = draw.chance(LEVEL, b)
+    height = torch.where(level, draw.uniform(0.12, 0.6, b), height)
+    aim = torch.where(level, height + far * draw.normal(0.12, b), draw.uniform(0.0, 0.5, b))
+    target = torch.stack([draw.normal(0.9, b), draw.normal(0.35, b), aim], -1)
     eye = torch.stack([far * angle.cos(), far * angle.sin(), height], -1) + target * target.new_tensor([1, 1, 0])
     turn = angle + math.pi / 2 * draw.below(2, b) + draw.normal(0.5, b)  # across the line of sight, or along it
     # From one view to the next 6 to 70 cm: neighbours in a walk, and every fourth of them.
@@ -50,6 +57,8 @@ def path(draw: Draw, scenes: int, views: int) -> tuple[Tensor, Tensor]:
     step = torch.stack([turn.cos(), turn.sin(), draw.normal(0.15, b)], -1) * length[:, None]
     bend = draw.normal(0.2, b, 3) * length[:, None]
     drift = draw.uniform(0.0, 1.2, b, 1) * step * step.new_tensor([1, 1, 0.2]) + draw.normal(0.3, b, 3)
+    sweep = far[:, None] * draw.normal(1.0, b, 3) * step.new_tensor([1, 1, 0.1])
+    drift = drift + torch.where(draw.chance(AROUND, b, 1), sweep, 0.0)
     s = torch.linspace(-0.5, 0.5, views, device=draw.device) + draw.uniform(-0.25, 0.25, b, views) / views
     shake = draw.log_uniform(0.003, 0.05, b, 1, 1) * draw.normal(1, b, views, 7)
     askew = draw.normal(0.5, b, 1) + draw.normal(0.25, b, views)
@@ -58,7 +67,7 @@ def path(draw: Draw, scenes: int, views: int) -> tuple[Tensor, Tensor]:
     def at(time: Tensor, shaken: Tensor) -> Tensor:
         u = time[..., None]
         where = eye[:, None] + u * step[:, None] + (u**2) * bend[:, None] + shaken[..., :3]
-        where = torch.cat([where[..., :2], where[..., 2:].clamp(min=0.15)], -1)
+        where = torch.cat([where[..., :2], where[..., 2:].clamp(min=0.1)], -1)
         return look_at(where, target[:, None] + u * drift[:, None] + 2 * shaken[..., 3:6], roll)
 
     # What the hand does while the shutter is open: a few per cent of the way, and some of the shake.

@@ -153,10 +153,10 @@ def _chair(rng: Rng) -> list[Item]:
 
 
 LAYOUTS: dict[str, tuple[float, Callable[[Rng], list[Item]]]] = {
-    "course": (0.45, course),
+    "course": (0.40, course),
     "stairs": (0.12, stairs),
     "ramps": (0.10, ramps),
-    "furniture": (0.15, furniture),
+    "furniture": (0.20, furniture),
     "clutter": (0.18, clutter),
 }
 """Kind of scene -> its share, and what makes it."""
