@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from realsim.core.errors import GapError
-from realsim.core.filters import local_fit, local_polynomials, low_pass
 from realsim.core.geometry import cross
 from realsim.core.types import F64, Bool
 from realsim.gap.case.case import Case, Run
@@ -80,17 +79,21 @@ def smooth(grid: F64, time: F64, values: F64) -> tuple[F64, F64, F64]:
 
 def _cubics(grid: F64, time: F64, values: F64, order: int) -> F64:
     """One of these derivatives."""
+    from scipy.signal import savgol_filter
+
     even = np.stack([_bridge(grid, time, column) for column in values.T], axis=1)
     step = float(grid[1] - grid[0])
     half = int(np.clip(round(HALF_WINDOW / step), 3, (len(grid) - 1) // 2))
-    return local_polynomials(even, half, 3, order, step)
+    return np.asarray(savgol_filter(even, 2 * half + 1, 3, deriv=order, delta=step, axis=0))
 
 
 def rate_gain(time: F64) -> float:
     """Standard deviation of a velocity that `smooth` estimates from readings of standard deviation 1, 1/s."""
+    from scipy.signal import savgol_coeffs
+
     step = float(np.median(np.diff(time)))
     half = int(np.clip(round(HALF_WINDOW / step), 3, max((len(time) - 1) // 2, 3)))
-    return float(np.linalg.norm(local_fit(half, 3)[1])) / step
+    return float(np.linalg.norm(savgol_coeffs(2 * half + 1, 3, deriv=1, delta=step)))
 
 
 def blur(grid: F64, time: F64, values: F64) -> tuple[F64, F64, F64]:
@@ -199,7 +202,10 @@ def velocity_lag(case: Case) -> float:
 
 def low_passed(values: F64, lag: float, step: float) -> F64:
     """(N, K) response of a first-order filter of time constant `lag` to samples `step` apart, s; steady at first."""
-    return low_pass(values, float(np.exp(-step / lag)) if lag > 0 else 0.0)
+    from scipy.signal import lfilter
+
+    keeps = np.exp(-step / lag) if lag > 0 else 0.0
+    return np.asarray(lfilter([1 - keeps], [1, -keeps], values, axis=0, zi=keeps * values[:1])[0])
 
 
 def sample_noise(case: Case, column: int, signal: str = "joint_pos") -> float:

@@ -3,7 +3,6 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from realsim.core.filters import local_polynomials
 from realsim.core.statistics import alike
 from realsim.core.types import F64
 from realsim.gap.case.units import factor
@@ -61,11 +60,13 @@ def follows(times: F64, asked: F64, done: F64) -> tuple[float, float, float, flo
 
 def smooth_derivatives(times: F64, position: F64, width: float = 0.03) -> tuple[F64, F64, F64]:
     """(position, velocity, acceleration) (T, K) by local quadratics (Savitzky and Golay 1964) on an even grid."""
+    from scipy.signal import savgol_filter
+
     step = float(np.median(np.diff(times)))
     window = max(5, 2 * round(width / step) + 1)
     if len(position) <= window:
         return position, np.zeros_like(position), np.zeros_like(position)
-    return tuple(local_polynomials(position, window // 2, 2, order, step) for order in (0, 1, 2))  # type: ignore[return-value]
+    return tuple(np.asarray(savgol_filter(position, window, 2, deriv=d, delta=step, axis=0)) for d in (0, 1, 2))  # type: ignore[return-value]
 
 
 def upward(quat_wxyz: F64) -> F64:
