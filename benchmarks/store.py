@@ -85,7 +85,7 @@ def _cpu() -> str:
 
 
 def _gpu() -> dict[str, str]:
-    """The GPU that this process computes on, if it has asked for one."""
+    """The GPU that this process computes on, if it has requested one."""
     torch = sys.modules.get("torch")
     return {"gpu": torch.cuda.get_device_name()} if torch is not None and torch.cuda.is_available() else {}
 

@@ -158,7 +158,7 @@ def export(
 
     Raises:
         UnknownNameError: no such format, before anything is written.
-        MissingExtraError: a format asked for by name needs a package that is not installed.
+        MissingExtraError: a format requested by name needs a package that is not installed.
     """
     from realsim.export import export_scene
     from realsim.results import Scene
@@ -268,7 +268,7 @@ def next_experiment(
         What experiment.json holds: `text`, `excitation`, `decides`, `expected_posterior`, `instructions`, ...
 
     Raises:
-        GapError: nothing is to be told apart, or nothing within the limits tells it.
+        GapError: nothing is to be distinguished, or nothing within the limits tells it.
     """
     check_mujoco()
     from realsim.gap.excite import excite

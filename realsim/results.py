@@ -219,14 +219,14 @@ def _scene(kind: type[Scene], folder: Path, data: Any, contact: Any, details: An
         goal=_site(data.get("goal")),
         frames_used=len(frames.get("used", ())),
         frames_dropped={d["name"]: d["reason"] for d in frames.get("dropped", ())},
-        warnings=(*data.get("warnings", ()), *([said_of_edited(edited)] if edited else [])),
+        warnings=(*data.get("warnings", ()), *([describe_edited(edited)] if edited else [])),
         edited=edited,
         report=data,
         details=details,
     )
 
 
-def said_of_edited(names: Sequence[str]) -> str:
+def describe_edited(names: Sequence[str]) -> str:
     """A warning about files of a scene that are no longer those of its report."""
     more = f" and {len(names) - 3} more" if len(names) > 3 else ""
     return f"{', '.join(names[:3])}{more}: changed since the report was written, whose figures are of what was there"

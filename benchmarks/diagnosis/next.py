@@ -239,7 +239,7 @@ def table(rows: list[dict[str, Any]]) -> str:
     for key in ("asked", "random"):
         lines.append(
             f"right alone after the {key} excitation: {count(ambiguous, key)} of all ambiguous cases, "
-            f"{count(asked_for, key)} where one was asked for, {count(sure, key)} where it was to decide"
+            f"{count(asked_for, key)} where one was requested, {count(sure, key)} where it was to decide"
         )
     return "\n".join(lines)
 

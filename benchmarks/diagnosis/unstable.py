@@ -5,7 +5,7 @@
 
 The real robot has one error, or none; its noise, phases and goals are drawn by the case's number. The replay in
 parts was developed on four other flights of this drone: as modelled, with a payload, weaker rotors, and its centre of
-mass 1 cm off; the last one asked for parts that also end where the replay leaves the log.
+mass 1 cm off; the last one requested parts that also end where the replay leaves the log.
 """
 
 import os

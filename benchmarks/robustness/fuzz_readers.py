@@ -63,7 +63,7 @@ class Reading:
 
 
 def _plain(value: Any) -> Any:
-    """What other processes can be told of."""
+    """What other processes can be told."""
     return value if value is None or isinstance(value, np.ndarray | float | int | str) else repr(value)
 
 
@@ -190,7 +190,7 @@ def read_other(folder: Path) -> Reading:
     if {"metadata.json", "contents.json"} & names:
         _put_back(folder)
     present = [name for name in FILES if name in names]
-    for name in present or ["policy.onnx"]:  # the file is gone or renamed: what is not there is asked for
+    for name in present or ["policy.onnx"]:  # the file is gone or renamed: what is not there is requested
         FILES[name](folder / name, reading)
     return reading
 

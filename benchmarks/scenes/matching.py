@@ -136,7 +136,7 @@ def _points(frames: Any, name: str, learned: bool) -> tuple[Row, Any]:
         "frames": len(frames),
         "placed": len(found.used),
         "seconds": time.perf_counter() - began,
-        "asked": found.statistics.get("learned_asked", 0),
+        "asked": found.statistics.get("learned_queried", 0),
         "joined": found.statistics.get("learned_pairs", 0),
         "tracks": found.statistics.get("tracks", 0),
     }

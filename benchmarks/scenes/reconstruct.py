@@ -46,7 +46,7 @@ class Options:
 
 
 def main(options: Options) -> None:
-    """Run what was asked for; every row is stored as soon as it is measured, the tables are printed at the end."""
+    """Run what was requested; every row is stored as soon as it is measured, the tables are printed at the end."""
     with tempfile.TemporaryDirectory() as temporary:
         work = options.keep or Path(temporary)
         absent = [str(path) for path in needed(options) if not path.exists()]

@@ -101,7 +101,7 @@ def unseen() -> list[str]:
 
 
 def experiments() -> list[str]:
-    """Diagnoses that were ambiguous, after the recording that was asked for and after one at random."""
+    """Diagnoses that were ambiguous, after the recording that was requested and after one at random."""
     rows = [r for r in stored("gap_next")["rows"] if r["verdict"] == "ambiguous"]
     lines = ["| recording | right: `identified` with the true cause alone |", "|---|---|"]
     for key, title in (("asked", "the one that `realsim excite` asks for"), ("random", "another of the library")):

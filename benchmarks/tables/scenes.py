@@ -176,7 +176,7 @@ def damaged() -> list[str]:
     """What came of damaged files, by what was read, all seeds together."""
     rows = [r for r in stored("fuzz")["rows"] if r["number"] is None]
     harmless = ("moved", "less", "unused", "slight")
-    lines = ["| read | trials | refused | warned | same | harmless | cannot be told | silent | traceback, hang |"]
+    lines = ["| read | trials | refused | warned | same | harmless | cannot be determined | silent | traceback, hang |"]
     lines.append("|" + "---|" * 9)
     for kind in dict.fromkeys(r["kind"] for r in rows):
         n = Counter({k: sum(r[k] for r in rows if r["kind"] == kind) for k in rows[0] if isinstance(rows[0][k], int)})

@@ -53,7 +53,7 @@ def crop(
     top = float(cloud.points[kept, 2].max()) if kept.any() else ground_z
     top = max([top, *(float(p.centroid[2]) for p in chosen)])  # the last tread of a flight is higher than obstacles are
     bounds = np.array([[*(low - margin), ground_z - DEPTH], [*(high + margin), top + HEADROOM]])
-    return bounds, _said(cloud, labels, bounds, left, margin)
+    return bounds, _describe_cropped(cloud, labels, bounds, left, margin)
 
 
 def everything(cloud: Cloud) -> F64:
@@ -75,20 +75,20 @@ def _grown(low: F64, high: F64, clusters: list[F64]) -> tuple[F64, F64, list[F64
         left = [c for c, is_near in zip(left, near, strict=True) if not is_near]
 
 
-def _said(cloud: Cloud, labels: Labels, bounds: F64, left: list[F64], margin: float) -> list[str]:
+def _describe_cropped(cloud: Cloud, labels: Labels, bounds: F64, left: list[F64], margin: float) -> list[str]:
     outside = ((cloud.points < bounds[0]) | (cloud.points > bounds[1])).any(1)
-    said = []
+    lines = []
     share = float(np.mean(outside[labels == Label.GROUND])) if (labels == Label.GROUND).any() else 0.0
     if share > 0.005:
         far = f"further than {margin:g} m from the terrain (--keep all keeps it)"
-        said.append(f"{100 * share:.0f} percent of the seen ground, {far}")
+        lines.append(f"{100 * share:.0f} percent of the seen ground, {far}")
     for cluster in left:
         centre, extent = cluster.mean(0), np.ptp(cluster, axis=0) + cloud.voxel
-        said.append(
+        lines.append(
             f"an object of {extent[0]:.1f} x {extent[1]:.1f} m at x {centre[0]:.1f}, y {centre[1]:.1f} m, "
             "away from the terrain"
         )
     other = int(np.count_nonzero(outside & (labels == Label.OTHER)))
     if other:
-        said.append(f"{other} voxels of walls, people, or noise outside the terrain")
-    return said
+        lines.append(f"{other} voxels of walls, people, or noise outside the terrain")
+    return lines

@@ -113,7 +113,7 @@ def _is_tread(cloud: Cloud, face: Indices) -> bool:
 def _edges(cloud: Cloud) -> list[Indices]:
     """Points of each level edge as wide as a person: of the ends of what stands or hangs there, seen from anywhere.
 
-    A board of 5 cm cannot be told from a wall in voxels coarser than that of views.
+    A board of 5 cm cannot be distinguished from a wall in voxels coarser than that of views.
     """
     import cv2
 

@@ -65,8 +65,8 @@ def find_ground(cloud: Cloud, seed: int, up_world: F64 | None = None) -> Ground:
     guess: list[str] = []
     hint = up_world
     if hint is None and not cloud.held:
-        hint, said, guess = _scan_up(planes, cloud)
-        assumptions.append(said)
+        hint, assumption, guess = _scan_up(planes, cloud)
+        assumptions.append(assumption)
     scored = sorted(((_score(p, cloud, hint), p) for p in planes), key=lambda s: -s[0]["score"])
     best, plane = scored[0]
     if best["plausibility"] < IMPLAUSIBLE:
@@ -123,12 +123,16 @@ def _scan_up(planes: list[Plane], cloud: Cloud) -> tuple[F64, str, list[str]]:
             ],
         )
     (name, up), *_ = fitting
-    said = f"the scan gives no direction up: the file's +{name} was taken, roughly"
+    assumption = f"the scan gives no direction up: the file's +{name} was taken, roughly"
     level = max(s for p, s in zip(planes, scores, strict=True) if p.normal @ up > LEVEL_COS)
     if level == best:
-        return up, said, []
+        return up, assumption, []
     other = " ".join(f"{v + 0.0:.2f}" for v in np.round(planes[int(np.argmax(scores))].normal, 2))
-    return up, said, [f"the file's +{name} was taken as up, though {other} would suit the scene better: is that right?"]
+    return (
+        up,
+        assumption,
+        [f"the file's +{name} was taken as up, though {other} would suit the scene better: is that right?"],
+    )
 
 
 def _score(plane: Plane, cloud: Cloud, up: F64 | None) -> dict[str, float]:

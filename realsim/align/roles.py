@@ -43,7 +43,7 @@ def pair_score(a: Face, b: Face) -> float:
     return float(min(a.seen, a.area) * min(b.seen, b.area) * np.linalg.norm(a.centroid - b.centroid))
 
 
-def as_asked(
+def as_requested(
     faces: list[Face], rule: Roles, ahead: F64, source: MetricScene | Scan, config: AlignConfig, T_level_world: F64
 ) -> Roles:
     """The rule's roles, overruled by what `config` asks for.
@@ -55,31 +55,31 @@ def as_asked(
     """
     T_rule = simulation_frame(faces, rule, ahead)
     listed = described(faces, T_rule)
-    asked: dict[str, int] = {}
+    chosen: dict[str, int] = {}
     for what, xy, pixel in (("start", config.start, config.start_pixel), ("goal", config.goal, config.goal_pixel)):
         if xy is not None and pixel is not None:
             raise AlignError(f"the {what} is given twice", expected="a point or a pixel", found="both")
         if xy is not None:
-            where, said = transform(invert_T(T_rule), np.array([*xy, 0.0]))[:2], f"{xy[0]:g} {xy[1]:g}"
+            where, place = transform(invert_T(T_rule), np.array([*xy, 0.0]))[:2], f"{xy[0]:g} {xy[1]:g}"
         elif pixel is not None:
             where = transform(T_level_world, _pixel_point(source, pixel, what))[:2]
-            said = f"pixel {pixel[1]} {pixel[2]} of frame {pixel[0]}"
+            place = f"pixel {pixel[1]} {pixel[2]} of frame {pixel[0]}"
         else:
             continue
         distances = [float(outside_hull(face.outline, where[None])[0]) for face in faces]
         if not distances or min(distances) > SLACK:
             raise AlignError(
-                f"no platform where the {what} was asked for",
+                f"no platform where the {what} was requested",
                 expected=listed or "a capture with platforms: none was found in this one",
-                found=f"{what} at {said}",
+                found=f"{what} at {place}",
                 hint="take X Y from the report of a run without --start and --goal, or name a pixel of a frame",
             )
-        asked[what] = int(np.argmin(distances))
-    if not asked:
+        chosen[what] = int(np.argmin(distances))
+    if not chosen:
         return rule
-    if asked.get("start") == asked.get("goal"):
+    if chosen.get("start") == chosen.get("goal"):
         raise AlignError("start and goal are the same platform", expected=f"two of: {listed}", found="one for both")
-    start, goal = asked.get("start"), asked.get("goal")
+    start, goal = chosen.get("start"), chosen.get("goal")
     if start is None:
         start = _partner(faces, goal)
     if goal is None:

@@ -10,7 +10,7 @@ from realsim.align.crop import crop, everything
 from realsim.align.ground import Ground, find_ground
 from realsim.align.platforms import find_faces, to_platform
 from realsim.align.rim import refined
-from realsim.align.roles import Roles, as_asked, by_rule, simulation_frame
+from realsim.align.roles import Roles, as_requested, by_rule, simulation_frame
 from realsim.align.segment import Label, segmented
 from realsim.core.geometry import invert_T, make_T, transform
 from realsim.core.types import F64, AlignedScene, MetricScene, Platform, Scan
@@ -32,7 +32,7 @@ def align(source: MetricScene | Scan, config: AlignConfig) -> AlignedScene:
     world happens to lie; `T_sim_world` leads from that world.
 
     Raises:
-        AlignError: no ground; two grounds that cannot be told apart; no platform where one was asked for.
+        AlignError: no ground; two grounds that cannot be distinguished; no platform where one was requested.
     """
     if isinstance(source, Scan):
         cloud, T_cloud_world = from_scan(source, config.seed), np.eye(4)
@@ -63,7 +63,7 @@ def align(source: MetricScene | Scan, config: AlignConfig) -> AlignedScene:
         faces = refined(faces, source, T_level_world)
     # The levelled frame's origin lies below the first camera: the nearer platform is the one nearer to it.
     ahead = along_walls(level.normals) if cloud.held else np.array([1.0, 0.0])
-    roles = as_asked(faces, by_rule(faces, np.zeros(2)), ahead, source, config, T_level_world)
+    roles = as_requested(faces, by_rule(faces, np.zeros(2)), ahead, source, config, T_level_world)
     assumptions += _assumed(roles, source, len(level.cameras) > 0)
     T_sim_level = simulation_frame(faces, roles, ahead)
     platforms = tuple(
@@ -141,12 +141,12 @@ def _kept(platforms: tuple[Platform, ...], bounds: F64) -> tuple[tuple[Platform,
     """The platforms that stand within the bounds as a whole, and in words the others: nothing can stand on those."""
     low, high = bounds[0, :2], bounds[1, :2]
     inside = tuple(p for p in platforms if ((p.outline >= low) & (p.outline <= high)).all())
-    said = [
+    outside = [
         f"a level top of {p.size[0]:.2f} x {p.size[1]:.2f} m at x {p.centroid[0]:.1f}, y {p.centroid[1]:.1f} m, outside"
         for p in platforms
         if not any(p is q for q in inside)
     ]
-    return inside, said
+    return inside, outside
 
 
 def _moved(cloud: Cloud, T: F64) -> Cloud:

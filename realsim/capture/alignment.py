@@ -85,7 +85,7 @@ def put_right(capture: FrameSet) -> FrameSet:
 
 
 def misalignment(frames: Sequence[Frame]) -> Misalignment | None:
-    """What is clearly wrong with the colour camera; None where depth is aligned, or nothing can be told."""
+    """What is clearly wrong with the colour camera; None where depth is aligned, or nothing can be determined."""
     chosen = [frames[k] for k in np.unique(np.linspace(0, len(frames) - 1, LOOK_AT).astype(int))]
     scores = np.array([s for s in in_order(lambda k: _scores(chosen[k]), len(chosen)) if s is not None])
     if len(scores) < 3:

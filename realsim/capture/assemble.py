@@ -33,7 +33,7 @@ def depth_unit(
     """The requested unit, otherwise that of the camera's file, otherwise the layout's convention; `arrays`: which holds
     for floating-point images too."""
     if config.depth_unit is not None:
-        note = f"depth is in steps of {config.depth_unit:g} m, as asked for"
+        note = f"depth is in steps of {config.depth_unit:g} m, as requested"
         return DepthUnit(config.depth_unit, config.depth_unit, note)
     if camera is not None and camera.depth_unit is not None:
         note = f"integer depth is in steps of {camera.depth_unit:g} m ({camera.source.name})"

@@ -32,7 +32,7 @@ class Finished:
     """One a frame of `capture`."""
     poses: PoseReport
     agreement: Agreement | None
-    """Of poses and depth; None where it could not be told."""
+    """Of poses and depth; None where it could not be determined."""
     seen: int
     """Frames in the capture before anything was left out."""
 

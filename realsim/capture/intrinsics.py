@@ -86,7 +86,7 @@ def camera_matrix(values: ArrayLike, source: Path) -> tuple[F64, str]:
     """A 3x3 camera matrix from nine (or 4x4: sixteen) numbers, and how it was written.
 
     Row by row the principal point is in the last column, column by column (Open3D, Eigen) in the last row; the other
-    place holds zeros, which is how the two are told apart.
+    place holds zeros, which is how the two are distinguished.
 
     Raises:
         CaptureError: another count, or numbers that are a camera matrix in neither order.

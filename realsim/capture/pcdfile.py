@@ -121,7 +121,7 @@ def read_columns(path: Path, header: PcdHeader) -> dict[str, NDArray]:
 def read_points(path: Path) -> tuple[F32, U8 | None]:
     """((H, W, 3) float32 points as stored with NaN where invalid, (H, W, 3) RGB or None). VIEWPOINT is not applied.
 
-    The last few files are remembered, because depth and colour of a frame are asked for separately.
+    The last few files are remembered, because depth and colour of a frame are requested separately.
     """
     check_size(path)
     return _read_points(path, path.stat().st_mtime_ns)

@@ -159,7 +159,7 @@ def settle_poses(capture: FrameSet, reach: float) -> tuple[FrameSet, PoseReport]
 
     Raises:
         PoseError: poses are given and none can be used (then they are of a kind that this toolkit does not know, and
-            going on without them has to be asked for).
+            going on without them has to be requested).
     """
     given = sum(f.T_world_camera is not None for f in capture.frames)
     if given == 0:

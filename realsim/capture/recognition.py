@@ -21,7 +21,7 @@ LAST_RESORT = 1
 
 
 def recognise(path: Path, name: str, layouts: Mapping[str, Layout]) -> tuple[Layout, Recognition]:
-    """The layout asked for by name, or for `auto` the one whose evidence is most specific.
+    """The layout requested by name, or for `auto` the one whose evidence is most specific.
 
     Raises:
         CaptureError: nothing there, no layout fits, something needed is missing, or two fit equally well.

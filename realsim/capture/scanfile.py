@@ -118,14 +118,14 @@ def read_ply(path: Path) -> RawScan:
     check_count(int(count[1]), path)
     check_packing(head, path)
     raw = _load(path, read_bytes(path, MAX_SCAN_BYTES))
-    told = re.search(rb"element face (\d+)", head)
+    declared = re.search(rb"element face (\d+)", head)
     # Readers of the text form take what is there; polygons make more triangles than the header has faces, never fewer.
     found = 0 if raw.triangles is None else len(raw.triangles)
-    if len(raw.points) < int(count[1]) or (told is not None and found < int(told[1])):
+    if len(raw.points) < int(count[1]) or (declared is not None and found < int(declared[1])):
         raise CaptureError(
             "corrupt or truncated scan",
             file=path,
-            expected=f"{int(count[1])} vertices and {int(told[1]) if told else 0} faces",
+            expected=f"{int(count[1])} vertices and {int(declared[1]) if declared else 0} faces",
             found=f"{len(raw.points)} and {found}",
         )
     return raw
@@ -134,12 +134,12 @@ def read_ply(path: Path) -> RawScan:
 def read_stl(path: Path) -> RawScan:
     """A mesh whose triangles share no vertices in the file: equal ones are joined."""
     data, after = plain_stl(read_bytes(path, MAX_SCAN_BYTES))
-    told = int.from_bytes(data[80:84], "little")
+    declared = int.from_bytes(data[80:84], "little")
     warnings: tuple[str, ...] = ()
     # Text begins with `solid`, and so do some binary files: the size tells.
-    if 84 + 50 * told == len(data):
-        check_count(3 * told, path)
-        warnings = _damaged_normals(np.frombuffer(data, STL_TRIANGLE, told, 84))
+    if 84 + 50 * declared == len(data):
+        check_count(3 * declared, path)
+        warnings = _damaged_normals(np.frombuffer(data, STL_TRIANGLE, declared, 84))
     raw = _load(path, data)
     points, index = np.unique(raw.points, axis=0, return_inverse=True)
     triangles = None if raw.triangles is None else index.ravel()[raw.triangles].astype(np.int32)

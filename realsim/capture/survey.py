@@ -158,7 +158,7 @@ def blurred(looks: Sequence[Look]) -> list[Dropped]:
             continue  # other content, not blur
         usual = float(np.median(known))
         share = look.sharpness / max(usual, FEATURELESS)
-        # Beside pictures of a plain wall nothing can be told.
+        # Beside pictures of a plain wall nothing can be determined.
         if usual > FEATURELESS and share < BLURRED:
             edges = "" if look.edge_px is None else f", edges {look.edge_px:.0f} pixels wide"
             out.append(Dropped(look.name, f"blurred: {share:.0%} of its neighbours' sharpness{edges}"))

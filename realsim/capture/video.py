@@ -20,7 +20,7 @@ from realsim.core.types import U8
 
 MAX_VIDEO_BYTES = 64 * 2**30
 REMEMBERED = 6
-"""Decoded frames that are kept: neighbours are asked for from two threads, not quite in order."""
+"""Decoded frames that are kept: neighbours are requested from two threads, not quite in order."""
 SAME_FRAME_MS = 0.5
 
 

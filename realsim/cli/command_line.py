@@ -49,8 +49,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 2
     except KeyboardInterrupt as ended:
         if as_json:
-            said = f"interrupted: {ended}" if str(ended) else "interrupted"
-            _write(sys.stdout, _error({"error": "Interrupted", "message": said}))
+            message = f"interrupted: {ended}" if str(ended) else "interrupted"
+            _write(sys.stdout, _error({"error": "Interrupted", "message": message}))
         else:
             kept = "; finished stages are kept and reused" if _keeps_stages(arguments) else ""
             _tell(f"interrupted: {ended if str(ended) else f'nothing half-written is left{kept}'}", "yellow")

@@ -110,13 +110,13 @@ class ModelError(RealsimError):
 
 
 class ScaleError(RealsimError):
-    """The metric scale cannot be told, or frames disagree beyond the limit."""
+    """The metric scale cannot be determined, or frames disagree beyond the limit."""
 
     usual_hint = "record with a camera whose depth is metric, or give its unit with --depth-unit"
 
 
 class AlignError(RealsimError):
-    """No ground, no platform where one was asked for, or contradictory directions."""
+    """No ground, no platform where one was requested, or contradictory directions."""
 
     usual_hint = "say where the way begins and ends: --start X Y --goal X Y"
 

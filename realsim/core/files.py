@@ -414,7 +414,7 @@ def place_folder(work: Path, target: Path, *, overwrite: bool = False, marks: Se
 
 
 def refuse_existing(path: Path, overwrite: bool, marks: Sequence[str] = MARKS) -> None:
-    """Refuse to replace a folder that is not empty, unless that was asked for and the folder is ours."""
+    """Refuse to replace a folder that is not empty, unless that was requested and the folder is ours."""
     if not path.is_dir() or not any(path.iterdir()):
         return
     if not overwrite:
@@ -433,7 +433,7 @@ def refuse_existing(path: Path, overwrite: bool, marks: Sequence[str] = MARKS) -
 
 
 def refuse_file(path: Path, overwrite: bool) -> None:
-    """Refuse to replace a file, unless that was asked for; to be called before the work that makes it."""
+    """Refuse to replace a file, unless that was requested; to be called before the work that makes it."""
     if path.is_dir():
         raise RealsimError("the output is a folder", file=path, expected="a file that does not exist yet")
     if path.exists() and not overwrite:

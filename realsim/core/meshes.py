@@ -198,9 +198,9 @@ def loose_vertices(count: int, triangles: NDArray[Any]) -> str | None:
     unused = 1 - len(np.unique(triangles)) / max(count, 1)
     if unused <= LOOSE:
         return None
-    said = f"{unused:.0%} of the vertices belong to no triangle"
+    text = f"{unused:.0%} of the vertices belong to no triangle"
     missing_end = int(np.max(triangles, initial=-1)) < (1 - LOOSE) * count
-    return f"{said}: is the file cut off?" if missing_end else f"{said} and are not used"
+    return f"{text}: is the file cut off?" if missing_end else f"{text} and are not used"
 
 
 FAR = 1000.0

@@ -64,7 +64,7 @@ def interrupt(*_: object) -> None:
 
 @contextmanager
 def answers_early() -> Iterator[None]:
-    """The first Ctrl-C of a person within asks for the answer so far (`asked_early`), the second ends what runs."""
+    """The first Ctrl-C of a person within asks for the answer so far (`stop_requested`), the second ends what runs."""
     global _early
 
     def ask(*_: object) -> None:
@@ -85,7 +85,7 @@ def answers_early() -> Iterator[None]:
         signal.signal(signal.SIGINT, interrupt)
 
 
-def asked_early() -> bool:
+def stop_requested() -> bool:
     """Whether a person wants the answer so far."""
     return _early
 

@@ -3,7 +3,7 @@
 `FrameSet -> Pointmaps (up to scale) -> MetricScene -> AlignedScene -> TerrainMesh -> SceneFiles`.
 
 Points up to scale and points in metres are different types: what is not metric cannot be aligned, meshed or exported.
-Images are read when they are asked for, so a thousand frames cost no more memory than ten.
+Images are read when they are requested, so a thousand frames cost no more memory than ten.
 """
 
 from __future__ import annotations
@@ -516,7 +516,7 @@ class Reconstruction:
     config: Mapping[str, Any] = field(default_factory=dict)
     """The configuration that was used, JSON-able."""
     modes: tuple[Mode, ...] = ()
-    """The delivered source of points and the others, where a comparison was asked for; the delivered one first."""
+    """The delivered source of points and the others, where a comparison was requested; the delivered one first."""
     changes: Mapping[str, Any] | None = None
     """What is otherwise than in an earlier scene (`realsim.changes.since`), where one was given."""
 

@@ -25,7 +25,7 @@ def solve(frames: FrameSet, config: PointsConfig) -> Solution:
     Raises:
         UnknownNameError: no such backend.
         CaptureError: no frames.
-        PoseError: poses are asked for and not there, contradict the depth, or cannot be estimated.
+        PoseError: poses are requested and not there, contradict the depth, or cannot be estimated.
     """
     backend = BACKENDS[config.backend]
     if not frames.frames:
@@ -34,7 +34,7 @@ def solve(frames: FrameSet, config: PointsConfig) -> Solution:
 
 
 def pointmaps(frames: FrameSet, solution: Solution, config: PointsConfig) -> Pointmaps:
-    """The views of a solution, made when they are asked for and kept if few.
+    """The views of a solution, made when they are requested and kept if few.
 
     `solution` must be of the same frames and backend.
     """

@@ -17,7 +17,7 @@ from realsim.gap.checks.footholds.run import check_camera, check_scene, terrain_
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.effects import EFFECTS
 from realsim.gap.pipeline import Progress, diagnose
-from realsim.gap.verdicts import SAID, GapVerdict
+from realsim.gap.verdicts import WORDINGS, GapVerdict
 from realsim.report import page
 from realsim.report.page import Level
 
@@ -106,7 +106,7 @@ def _physics(case: Case, config: DiagnoseConfig, progress: Progress) -> list[Par
     delays = list(dict.fromkeys(c["effect"] for c in causes if "delay" in c["parameters"]))
     others = list(dict.fromkeys(c["effect"] for c in causes if "delay" not in c["parameters"]))
     late = "no delay of commands or readings is named" if not delays else result["sentence"]
-    level, sentence = SAID[verdict].level, str(result["sentence"])
+    level, sentence = WORDINGS[verdict].level, str(result["sentence"])
     chaotic = only_in_long_replays(found.evidence) if verdict is GapVerdict.UNEXPLAINED and not causes else False
     if chaotic:
         level = "good"

@@ -62,26 +62,26 @@ def excite(
         raise GapError("the folder holds recordings", file=recorded, hint="choose another --out: they would be lost")
     with output_folder(Path(out), overwrite=overwrite, source=source) as work:
         loaded, looked, rivals = _looked(source, case, config, settings, tick)
-        asked = described(looked, rivals)
+        proposal = described(looked, rivals)
         if not looked[0].helps:
             refused = "; ".join(f"{one.name}: {one.refused}" for one in looked if one.refused)
             raise GapError(
                 "no experiment is written",
                 file=source,
-                found=f"{asked['text']}{': ' if refused else ''}{refused}",
+                found=f"{proposal['text']}{': ' if refused else ''}{refused}",
                 hint="if the robot bears more than it did in the log: --max-speed, --max-torque" if refused else None,
             )
-        return write_experiment(work, loaded, looked, rivals, asked)
+        return write_experiment(work, loaded, looked, rivals, proposal)
 
 
 def _looked(
     source: Path, folder: Path | None, config: ExciteConfig, settings: DiagnoseConfig, tick: Progress
 ) -> tuple[Case, list[Looked], tuple[Rival, ...]]:
     """(case, excitations from best to worst, rivals)."""
-    case, said = _read(source, folder, settings, tick)
+    case, entries = _read(source, folder, settings, tick)
     with threadpool_limits(1, user_api="blas"), Simulator(case, settings) as simulator:
         comparison = Comparison(case, simulator.channels, simulator.simulate(), settings)
-        rivals = rivals_from(said, simulator.context)
+        rivals = rivals_from(entries, simulator.context)
         bench = bench_of(simulator.context, comparison.noise, config, settings)
         return case, look(bench, rivals, config.excitations, tick), rivals
 
@@ -95,7 +95,7 @@ def _read(source: Path, folder: Path | None, settings: DiagnoseConfig, tick: Pro
     found = read_json(source / "diagnosis.json")
     if not isinstance(found, Mapping):
         raise GapError("diagnosis.json is not an object", file=source / "diagnosis.json")
-    said = _rivals(found, source / "diagnosis.json")
+    rivals = _rivals(found, source / "diagnosis.json")
     made = (found.get("provenance") or {}).get("engine")
     if made != engine():
         raise GapError(
@@ -116,14 +116,14 @@ def _read(source: Path, folder: Path | None, settings: DiagnoseConfig, tick: Pro
         raise GapError(
             "the case is not where it was when it was diagnosed", file=source / where, hint="give it: --case CASE"
         ) from error
-    return limited(case, settings), said
+    return limited(case, settings), rivals
 
 
 def _rivals(found: Mapping[str, Any], file: Path) -> list[Any]:
     """What the diagnosis could not tell apart, or why there is nothing."""
-    asked = found.get("next_experiment")
-    said = asked.get("rivals") if isinstance(asked, Mapping) else None
-    if not isinstance(said, list) or len(said) < 2:
+    proposal = found.get("next_experiment")
+    rivals = proposal.get("rivals") if isinstance(proposal, Mapping) else None
+    if not isinstance(rivals, list) or len(rivals) < 2:
         count = 1 + len(found.get("equivalent") or []) if found.get("causes") else 0
         raise GapError(
             "there is nothing to tell apart",
@@ -134,4 +134,4 @@ def _rivals(found: Mapping[str, Any], file: Path) -> list[Any]:
             if count > 1
             else "one set of causes needs no experiment: simulate with the patched model.xml of the diagnosis",
         )
-    return said
+    return rivals

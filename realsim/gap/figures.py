@@ -78,7 +78,7 @@ PROBED, SIZES = 12, (2.0, 0.7, -0.7, -2.0)
 at which they are, in steps of the parameter. Budget."""
 
 MANY_JOINTS = 8
-"""Driven joints from which on what the time step does to all of them at once can be told from their own deviations.
+"""Driven joints from which on what the time step does to all of them at once differs from their own deviations.
 
 With fewer it hides small causes: on 44 withheld cases of pendulums and arms two were missed for one that became right.
 From as many on, sets are compared beside their own deviations; with fewer, the second of two causes was lost in both

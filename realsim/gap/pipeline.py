@@ -101,14 +101,14 @@ def diagnose(case: Case, config: DiagnoseConfig | None = None, progress: Progres
         }
         tick("next experiment", 0.98)
         rivals = [concluded.fit, *concluded.equivalent] if found.equivalent else []
-        asked = propose(simulator, comparison.noise, rivals, config)
+        proposal = propose(simulator, comparison.noise, rivals, config)
     return replace(
         found,
-        advice=with_text(found.advice, asked),
+        advice=with_text(found.advice, proposal),
         statistics=statistics,
         cost=cost,
         provenance=made_by,
-        next_experiment=asked,
+        next_experiment=proposal,
     )
 
 
@@ -216,16 +216,16 @@ def _assemble(
     equivalent = [tuple(describe_set(other)) for other in (concluded.equivalent if causes else ())]
     looks_like = what_stays(simulator, comparison, fit, runs) if gap else []
     lead = describe_set(concluded.lead)[0] if concluded.lead else None
-    said = sentence(judgement, causes, equivalent, checked, where, looks_like, case, lead, screen.cut_short)
+    text = sentence(judgement, causes, equivalent, checked, where, looks_like, case, lead, screen.cut_short)
     todo = advice(judgement, causes, equivalent, where, case, lead)
     if selection.cut_short:
-        said, todo = f"{said} {CUT_SHORT}", f"give the search more time (--time-limit), or {todo}"
+        text, todo = f"{text} {CUT_SHORT}", f"give the search more time (--time-limit), or {todo}"
     health["warnings"] += concluded.warnings
     of_check = [i for i, run in enumerate(case.runs) if run.name in checked.runs]
     arrays = collect(simulator, comparison, residuals, shares, of_check, fit)
     return Diagnosis(
         verdict=judgement.verdict,
-        sentence=said,
+        sentence=text,
         advice=todo,
         causes=tuple(causes),
         equivalent=tuple(equivalent),

@@ -61,8 +61,8 @@ def run_case(
         found = with_camera(diagnose(case, config, progress), camera)
         if found.next_experiment is not None:
             where = os.path.relpath(Path(folder).absolute(), Path(out).absolute())
-            asked = found.next_experiment | {"case": Path(where).as_posix()}
-            found = replace(found, next_experiment=asked)
+            proposal = found.next_experiment | {"case": Path(where).as_posix()}
+            found = replace(found, next_experiment=proposal)
         if since is not None:
             pair = with_same_joints(limited(case, config), limited(earlier, config))
             changed = changed_since(*pair, config, progress or _quiet)

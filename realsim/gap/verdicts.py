@@ -18,7 +18,7 @@ class GapVerdict(StrEnum):
 
 
 @dataclass(frozen=True)
-class Said:
+class Wording:
     """How a verdict is shown."""
 
     word: str
@@ -27,12 +27,14 @@ class Said:
     """`good`: act on it; `look`: read on first; `bad`: do not use the patched model."""
 
 
-SAID = {
-    GapVerdict.NO_GAP: Said("No gap", "the runs show no gap beyond noise and everyday deviations", "good"),
-    GapVerdict.IDENTIFIED: Said("Identified", "what is named holds on the check", "good"),
-    GapVerdict.AMBIGUOUS: Said("Cannot tell apart", "several causes explain these runs equally well", "look"),
-    GapVerdict.PARTLY_EXPLAINED: Said("Partly explained", "what is named holds on the check, and part of the gap stays",
-                                      "look"),
-    GapVerdict.UNEXPLAINED: Said("Unexplained", "no known effect explains the gap: do not use the patched model",
-                                 "bad"),
-}  # fmt: skip
+WORDINGS = {
+    GapVerdict.NO_GAP: Wording("No gap", "the runs show no gap beyond noise and everyday deviations", "good"),
+    GapVerdict.IDENTIFIED: Wording("Identified", "what is named holds on the check", "good"),
+    GapVerdict.AMBIGUOUS: Wording("Cannot tell apart", "several causes explain these runs equally well", "look"),
+    GapVerdict.PARTLY_EXPLAINED: Wording(
+        "Partly explained", "what is named holds on the check, and part of the gap stays", "look"
+    ),
+    GapVerdict.UNEXPLAINED: Wording(
+        "Unexplained", "no known effect explains the gap: do not use the patched model", "bad"
+    ),
+}

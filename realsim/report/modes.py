@@ -1,4 +1,4 @@
-"""Sources of points side by side, where a comparison was asked for."""
+"""Sources of points side by side, where a comparison was requested."""
 
 from realsim.core.types import Mode, Reconstruction
 from realsim.report import page

@@ -134,7 +134,7 @@ def legend(items: Sequence[tuple[str, str]]) -> str:
 
 
 def fold(summary: str, body: str) -> str:
-    """A part that is closed until it is asked for."""
+    """A part that is closed until it is requested."""
     return f"<details><summary>{esc(summary)}</summary>{body}</details>"
 
 

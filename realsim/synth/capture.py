@@ -112,7 +112,7 @@ def _write_frame(
 
 
 def _write_cameras(folder: Path, cameras: Rig, T_world_camera: F64, config: SynthConfig) -> None:
-    """Intrinsics and, if asked for, poses, each in the sensor's layout."""
+    """Intrinsics and, if requested, poses, each in the sensor's layout."""
     if config.sensor == "d435i":
         k = cameras.depth  # Open3D writes the 3x3 matrix column by column
         intrinsics = {"width": k.width, "height": k.height, "intrinsic_matrix": k.K.T.ravel().tolist()}

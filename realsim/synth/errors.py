@@ -1,7 +1,7 @@
 """Errors of a reconstruction against the truth, by registration of surfaces.
 
 Point-to-plane registration (Chen and Medioni 1992) of the delivered mesh to samples of the true surface, with and
-without a scale. Only true surface that two cameras or more saw is asked for.
+without a scale. Only true surface that two cameras or more saw is requested.
 """
 
 from __future__ import annotations

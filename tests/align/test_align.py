@@ -173,7 +173,7 @@ def test_two_inclined_grounds_are_refused_unless_up_is_known(source):
     assert np.degrees(np.arccos(min(1, aligned.gravity.normal_world @ normals[0]))) < 0.5
 
 
-def test_start_and_goal_as_asked(scene, here):
+def test_start_and_goal_as_requested(scene, here):
     goal = here.platform("goal").centroid
     turned = align(scene, AlignConfig(start=(float(goal[0]), float(goal[1]))))
     np.testing.assert_allclose(transform(turned.T_sim_world @ invert_T(here.T_sim_world), goal), 0, atol=1e-6)

@@ -1,4 +1,4 @@
-"""Tables of policies: bases are told apart, and nothing of two is added up."""
+"""Tables of policies: bases are distinguished, and nothing of two is added up."""
 
 import hashlib
 

@@ -135,7 +135,7 @@ def test_units(unit, factor, tmp_path):
     mesh.export(tmp_path / "a.stl")
     scan = scan_of(tmp_path / "a.stl", CaptureConfig(unit=unit))
     np.testing.assert_allclose(np.ptp(scan.points, axis=0), [3, 2, 0.4], atol=1e-4)
-    assert any(f"in {unit}, as asked for" in a for a in scan.assumptions)
+    assert any(f"in {unit}, as requested" in a for a in scan.assumptions)
 
 
 def test_millimetres_are_noticed(tmp_path):

@@ -102,10 +102,10 @@ def test_the_first_interrupt_asks_for_the_answer_so_far_and_the_second_ends() ->
     try:
         with progress.answers_early():
             signal.raise_signal(signal.SIGINT)
-            assert progress.asked_early()
+            assert progress.stop_requested()
             with pytest.raises(KeyboardInterrupt):
                 signal.raise_signal(signal.SIGINT)
-        assert not progress.asked_early()
+        assert not progress.stop_requested()
     finally:
         signal.signal(signal.SIGINT, before)
         progress.forget_interrupt()

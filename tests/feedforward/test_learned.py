@@ -144,7 +144,7 @@ def test_dark_frames_are_placed_and_it_is_said(dark: list[Frame]) -> None:
 def test_what_it_adds_belongs_to_tracks_and_weighs_less(dark: list[Frame]) -> None:
     views = prepare(dark)
     found = learned.join_pieces(views, [], seed=0)
-    assert found.asked >= len(found.matches) > 0
+    assert found.queried >= len(found.matches) > 0
     for m in found.matches:
         for k, features in ((m.i, m.a), (m.j, m.b)):
             assert features.min() >= len(views[k].z)
@@ -158,7 +158,7 @@ def test_without_its_package_it_is_said(dark: list[Frame], monkeypatch: pytest.M
     monkeypatch.setattr(matcher, "find_spec", lambda name: None)
     found = learned.join_pieces(prepare(dark), [], seed=0)
     assert not found.matches
-    assert any('pip install "realsim[matching]"' in line for line in found.said())
+    assert any('pip install "realsim[matching]"' in line for line in found.notes())
 
 
 def test_two_pieces_are_not_joined_by_one_link() -> None:

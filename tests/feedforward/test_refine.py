@@ -171,7 +171,7 @@ def test_without_baseline_the_gain_is_not_invented(n: int) -> None:
     found = refine(frames, T, estimate_gain=True, trust="metric")
     assert found.depth_gain == 1.0
     assert found.depth_gain_sigma > 0.01
-    assert any("cannot be told" in w for w in found.warnings)
+    assert any("cannot be determined" in w for w in found.warnings)
 
 
 @pytest.mark.parametrize("bad", [np.full((4, 4), np.nan), np.diag([1.0, 1, -1, 1])])

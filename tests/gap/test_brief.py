@@ -8,7 +8,7 @@ import pytest
 from realsim.cli.commands.diagnose import _summary
 from realsim.gap import DiagnoseConfig
 from realsim.gap.answer.brief import brief
-from realsim.gap.verdicts import SAID, GapVerdict
+from realsim.gap.verdicts import WORDINGS, GapVerdict
 
 JOINTS = [f"joint_{i}" for i in range(6)]
 
@@ -53,7 +53,7 @@ def test_the_terminal_shows_a_dozen_lines_at_most(verdict: str, causes: int, oth
     text = _summary(data(verdict, causes, others), Path("out"), DiagnoseConfig())
     lines = text.splitlines()
     assert len(lines) <= 1 + 12
-    assert lines[0].startswith(SAID[GapVerdict(verdict)].word)
+    assert lines[0].startswith(WORDINGS[GapVerdict(verdict)].word)
     assert ("Your model lacks friction." in lines[0]) == (verdict == "identified")
     assert "out/model.xml" in lines[-1]
     assert "record one run twice" in text

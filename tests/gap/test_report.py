@@ -17,7 +17,7 @@ from realsim.gap.report.robot import body_shares
 from realsim.gap.report.series import horizons, worst_windows
 from realsim.gap.report.words import percent, short
 from realsim.gap.simulation.simulate import Simulator, measured
-from realsim.gap.verdicts import SAID
+from realsim.gap.verdicts import WORDINGS
 from realsim.report.solids import solids
 from tests.pages import read
 
@@ -36,7 +36,7 @@ def test_page_says_what_was_found(found: Diagnosis, tmp_path: Path) -> None:
     write_report(tmp_path / "report.html", found)
     text = read((tmp_path / "report.html").read_text())
     assert found.sentence in text
-    assert SAID[found.verdict].word in text
+    assert WORDINGS[found.verdict].word in text
     assert found.advice in text
     assert "s of simulation" in text
     for title in ("Where", "What", "How much", "Before and after", "Apply the patch", "Data health", "All effects"):
@@ -83,7 +83,7 @@ def test_ambiguous_names_the_other_set_and_what_would_tell(found: Diagnosis) -> 
     other = ({**found.causes[0], "effect": "viscous_friction"},)
     unsure = replace(found, verdict="ambiguous", equivalent=(other,))
     text = read(diagnosis_page(unsure))
-    assert "Cannot be told apart" in text
+    assert "Cannot be distinguished" in text
     assert "viscous friction" in text.lower()
     assert "What to record to decide" in text
     planned = replace(unsure, next_experiment={"motion": "slow ramps on the elbow", "seconds": 6.0})

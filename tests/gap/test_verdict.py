@@ -8,7 +8,7 @@ import pytest
 from realsim.gap.answer.check import Check, Horizons
 from realsim.gap.answer.verdict import Fitted, judge
 from realsim.gap.figures import EXPLAINED
-from realsim.gap.verdicts import SAID, GapVerdict
+from realsim.gap.verdicts import WORDINGS, GapVerdict
 
 
 def fitted(left: float = 1.0, before: float = 100.0) -> Fitted:
@@ -103,8 +103,8 @@ def test_a_doubt_keeps_a_cause_from_being_identified() -> None:
 
 
 def test_every_verdict_can_be_said() -> None:
-    assert set(SAID) == set(GapVerdict)
-    assert SAID[GapVerdict.PARTLY_EXPLAINED].level == "look"  # read it first; --strict does not fail
+    assert set(WORDINGS) == set(GapVerdict)
+    assert WORDINGS[GapVerdict.PARTLY_EXPLAINED].level == "look"  # read it first; --strict does not fail
 
 
 def test_figures_of_a_check_are_one_figure() -> None:

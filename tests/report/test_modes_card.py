@@ -1,4 +1,4 @@
-"""The comparison of sources of points: in the page and in report.json when it was asked for, absent otherwise."""
+"""The comparison of sources of points: in the page and in report.json when it was requested, absent otherwise."""
 
 import json
 from dataclasses import replace

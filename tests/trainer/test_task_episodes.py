@@ -225,7 +225,7 @@ def test_randomised_parameters_lie_in_their_ranges():
         assert drawn.max() <= high
         assert drawn.std() > 0
     assert set(params.delay_steps.tolist()) == {0, 1, 2, 3, 4}
-    # Softer ground is an option: nobody asked for it.
+    # Softer ground is an option: nobody requested it.
     assert [f.name for f in fields(params) if getattr(params, f.name) is None] == ["contact_time"]
 
 

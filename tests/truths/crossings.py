@@ -1,6 +1,6 @@
 """A quadruped that crawls over stakes in MuJoCo, and what it logs: cases for the survey of footholds and of the camera.
 
-The true terrain differs from the scanned one by what is asked for and, as every scan does, a little everywhere; the
+The true terrain differs from the scanned one by what is requested and, as every scan does, a little everywhere; the
 robot, its sensors and the estimate of its base err as real ones do. Nothing here uses `realsim.gap`.
 """
 

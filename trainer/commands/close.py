@@ -171,6 +171,6 @@ def _page(
         ]
         parts.append(page.card("Success in the patched simulator", page.table(["terrain", "", "rate", "95 %"], rows)))
         if tuned.get("verdict"):
-            said = [*tuned["verdict"]["failures"], *tuned["verdict"]["advice"]]
-            parts.append(page.card("Where it fails, and what to try", page.bullets(said)))
+            failures = [*tuned["verdict"]["failures"], *tuned["verdict"]["advice"]]
+            parts.append(page.card("Where it fails, and what to try", page.bullets(failures)))
     return page.document("The loop, closed", str(case), "".join(parts))

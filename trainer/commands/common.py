@@ -117,7 +117,7 @@ def trial_lines(title: str, evaluation: Evaluation) -> list[str]:
 def result_lines(result: TrainResult, target: float) -> list[str]:
     """Summary lines of a training."""
     if result.to_target is None:
-        reached = "not reached" if result.evaluations else "not asked for (no evaluations on the way)"
+        reached = "not reached" if result.evaluations else "not requested (no evaluations on the way)"
     else:
         reached = str(result.to_target)
     return [

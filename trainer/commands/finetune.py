@@ -111,11 +111,11 @@ def finetune(
         "task_file": None if task_file is None else str(task_file.absolute()),
         "before": None if before is None else before.as_dict(),
     }
-    told, made = out / "result.json", out / "policy.pt"
-    earlier = read_text(told) if config.resume is not None and told.is_file() else ""
+    result_file, made = out / "result.json", out / "policy.pt"
+    earlier = read_text(result_file) if config.resume is not None and result_file.is_file() else ""
     since = made.stat().st_mtime_ns if made.is_file() else None
     if common.first_rank():
-        write_text(told, to_json(data))  # a resume goes on with it
+        write_text(result_file, to_json(data))  # a resume goes on with it
     help_it = first_success == "help" or (first_success == "auto" and before is not None and _hardly_crosses(before))
     lands = scene
     if help_it:
@@ -125,7 +125,7 @@ def finetune(
         result = train(lands, policy, config, out)
     except (RealsimError, KeyboardInterrupt):
         if earlier and common.first_rank() and since == (made.stat().st_mtime_ns if made.is_file() else None):
-            write_text(told, earlier)  # nothing was trained: what the run had found still holds
+            write_text(result_file, earlier)  # nothing was trained: what the run had found still holds
         elif not made.is_file():  # nothing was trained: there is no run to go on with
             for name in ("result.json", "history.jsonl"):
                 (out / name).unlink(missing_ok=True)
@@ -151,7 +151,7 @@ def finetune(
         "target": config.loop.target,
         "helped": help_it,
     }
-    write_text(told, to_json(data))
+    write_text(result_file, to_json(data))
     lines = common.result_lines(result, config.loop.target)
     for title, evaluation in (("before", before), ("after", after)):
         lines += common.trial_lines(title, evaluation) if evaluation is not None else []

@@ -80,7 +80,14 @@ class CaseLog:
         self._check(config)
 
     def add(
-        self, time: float, reading: Reading, inputs: dict[str, Any], told: Any, speed: float, action: Any, targets: Any
+        self,
+        time: float,
+        reading: Reading,
+        inputs: dict[str, Any],
+        command: Any,
+        speed: float,
+        action: Any,
+        targets: Any,
     ) -> None:
         """One step: `time` in s of the reading, what the policy saw, was told (3,) and answered, and the joint targets
         that were sent."""
@@ -93,7 +100,7 @@ class CaseLog:
             "observation": inputs["vector"][0],
             "action": action,
             "speed": speed,
-            "policy_command": told,
+            "policy_command": command,
             **{name: getattr(reading, name) for name in SIGNALS if getattr(reading, name) is not None},
         }
         if reading.depth is not None:

@@ -110,8 +110,8 @@ def deploy(
                 break
             speed = _speed(config, report.steps * facts.policy_dt)
             ahead = np.array([speed, 0.0, 0.0])
-            told = steer(speed) if observe.steered and steer is not None else ahead
-            inputs = observe(reading, told, action)
+            command = steer(speed) if observe.steered and steer is not None else ahead
+            inputs = observe(reading, command, action)
             thought = clock()
             try:
                 action = session.run(None, inputs)[0][0]
@@ -130,7 +130,9 @@ def deploy(
             robot.write(targets)
             if log is not None:
                 passed = started - began if config.realtime else report.steps * facts.policy_dt
-                log.add(passed if reading.time is None else reading.time, reading, inputs, told, speed, action, targets)
+                log.add(
+                    passed if reading.time is None else reading.time, reading, inputs, command, speed, action, targets
+                )
             report.latency_s.append(clock() - started)
             report.steps += 1
             due += facts.policy_dt

@@ -67,15 +67,15 @@ class MujocoPhysics:
     def step(self, targets: Tensor) -> State:
         """See `Physics.step`. Commands of a world with delay d act from its d-th physics step on."""
         wanted = targets.detach().cpu().numpy().astype(float)
-        asked = np.isfinite(wanted).all(axis=1)  # MuJoCo would take zero for a target that is no number
-        wanted[~asked] = self._targets[~asked]
+        finite = np.isfinite(wanted).all(axis=1)  # MuJoCo would take zero for a target that is no number
+        wanted[~finite] = self._targets[~finite]
         late = self._delay[:, None] > np.arange(self.config.decimation)
         control = np.where(late[:, :, None], self._targets[:, None], wanted[:, None])
         self._targets = wanted
 
         states, sensors = self._rollout(control)
         qvel = states[:, :, 1 + self._nq : 1 + self._nq + self._nv]
-        diverged = self._diverged(states[:, -1]) | ~asked
+        diverged = self._diverged(states[:, -1]) | ~finite
         alive = ~diverged
         self._warmstart[alive] = (qvel[alive, -1] - qvel[alive, -2]) / self.config.timestep
         acceleration = (qvel[:, -1, 6:] - self._qvel[:, 6:]) / self.policy_dt

@@ -26,7 +26,7 @@ GROUND, SLOT, SCENE = "ground", "slot", "scene"
 PARKED_Z = -1000.0
 """Height of unused slots, metres: nothing ever gets there."""
 TERRAIN_BIT, ROBOT_BIT = 1, 2
-"""Collision bits: terrain never collides with terrain; the robot with terrain, and with itself when asked for."""
+"""Collision bits: terrain never collides with terrain; the robot with terrain, and with itself when requested."""
 
 
 def slots_for(terrains: Sequence[Terrain]) -> int:

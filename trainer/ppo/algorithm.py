@@ -151,7 +151,7 @@ class PPO:
         rate.copy_(torch.where(faster, (rate * 1.5).clamp(max=high), slower))
 
     def state_dict(self) -> dict[str, object]:
-        """The optimiser with its learning rate, and the rate that was asked for."""
+        """The optimiser with its learning rate, and the rate that was requested."""
         return {
             "adam": self.optimiser.state_dict(),
             "learning_rate": float(self.learning_rate),
@@ -166,10 +166,10 @@ class PPO:
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """The inverse. If a different learning rate is requested, it replaces the saved one."""
         self.optimiser.load_state_dict(state["adam"])
-        asked = self.config.learning_rate
+        requested = self.config.learning_rate
         # The same command again must go on exactly: the schedule may have moved the rate since.
-        kept = asked is None or asked == state.get("asked_rate")
-        self.learning_rate.copy_(torch.tensor(state["learning_rate"] if kept else asked))
+        kept = requested is None or requested == state.get("asked_rate")
+        self.learning_rate.copy_(torch.tensor(state["learning_rate"] if kept else requested))
         policy, critic = self.optimiser.param_groups
         policy["lr"] = self.learning_rate  # loading has put a copy there; the schedule moves ours
         critic["lr"] = self.config.critic_rate or self.learning_rate

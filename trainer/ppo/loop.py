@@ -75,7 +75,7 @@ def train(
     elif evaluate is not None and config.evaluate_every:
         _evaluate(runner, evaluate, history, best)
     watch = Watch(config.watch if runner.policy.tuned else 0)
-    # Whoever asked for the training goes on with its policy.pt, also where nothing is left to train.
+    # Whoever requested the training goes on with its policy.pt, also where nothing is left to train.
     until = time.monotonic() + 60 * config.minutes if config.minutes else math.inf
     done = _done(runner, history, config, until)
     began = saved = time.perf_counter()
@@ -93,10 +93,10 @@ def train(
             due = config.evaluate_every and runner.iteration % config.evaluate_every == 0
             affordable = evaluating <= config.evaluate_share * (time.perf_counter() - began)
             if evaluate is not None and due and affordable:
-                asked = time.perf_counter()
+                begun = time.perf_counter()
                 rate = _evaluate(runner, evaluate, history, best)
                 write({"iteration": runner.iteration - 1, "success": rate})
-                evaluating += time.perf_counter() - asked
+                evaluating += time.perf_counter() - begun
             show(row, history)
             done = _done(runner, history, config, until)
             if done and evaluate is not None and config.evaluate_every and not history.at(runner.iteration):

@@ -28,7 +28,7 @@ class Batch:
 
 
 class Frames:
-    """Depth frames, each kept once; stacks are gathered when they are asked for.
+    """Depth frames, each kept once; stacks are gathered when they are requested.
 
     A stack of M frames repeats M - 1 of those of the stack a stride before it. Kept once, with the (M - 1) * stride
     frames that reach back before the iteration, 4096 worlds x 24 steps of eight 18 x 32 frames five steps apart are

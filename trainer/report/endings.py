@@ -25,7 +25,7 @@ def endings(runs: Sequence[Run]) -> Figure:
 
 
 def by_family(shown: Shown) -> str:
-    """Bars cut by how the last episodes of a family ended; nothing where families are not told apart."""
+    """Bars cut by how the last episodes of a family ended; nothing where families are not distinguished."""
     found = [
         (family, run.name, shares)
         for family in families(shown.runs)

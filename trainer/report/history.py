@@ -125,7 +125,7 @@ def read_run(folder: Path, name: str) -> Run:
         over["minutes"] = minutes
     else:
         notes.append("no seconds were logged: it cannot be drawn over minutes")
-    result, said = _result(folder)
+    result, remarks = _result(folder)
     evaluations, unread = read_evaluations(folder, result)
     found = _part(result, "result")
     target: Any = result.get("target")
@@ -138,7 +138,7 @@ def read_run(folder: Path, name: str) -> Run:
         evaluations=evaluations,
         target=float(target) if _is_number(target) and 0 < target <= 1 else None,
         robot=str(found.get("robot", ""))[:60],
-        notes=(*notes, *said, *unread, *map(str, _part(found, "warnings", list))),
+        notes=(*notes, *remarks, *unread, *map(str, _part(found, "warnings", list))),
     )
     return replace(run, derived=_derived(run))
 

@@ -31,7 +31,7 @@ def named(name: str, file: Path | None = None) -> TrainedRobot:
     """The robot of that name, or of a file of `realsim robot new`.
 
     Raises:
-        UnknownNameError: no such robot; the message lists those that are, and names the file that asked for it.
+        UnknownNameError: no such robot; the message lists those that are, and names the file that requested it.
         TrainerError: the file is none of a robot, or does not fit its model.
     """
     if name.endswith(".toml"):

@@ -147,7 +147,7 @@ def learner(file: Path | None, plan: Plan, env: ParkourEnv) -> Policy:
 
 
 def trials(scene: Scene, plan: Plan) -> loop.Evaluate:
-    """Success rate in the same trials whenever it is asked for; worlds of its own, made when first asked."""
+    """Success rate in the same trials whenever it is requested; worlds of its own, made when first asked."""
     task = plan.config.trial_task or plan.task
     task = replace(task, depth=replace(task.depth, use=plan.task.depth.use))
     setting = Setting(plan.robot, plan.engine, None, task, plan.physics, plan.config.diagnosis)

@@ -242,6 +242,6 @@ def _refuse_what_it_cannot(config: TrainConfig) -> None:
         "--resume": config.resume is not None,
         "--amp": config.ppo.prior.amp,
     }
-    asked = [name for name, wanted in cannot.items() if wanted]
-    if asked:
-        raise TrainerError(f"the trainer rsl_rl does not do {', '.join(asked)}", hint="use the trainer ppo for that")
+    refused = [name for name, wanted in cannot.items() if wanted]
+    if refused:
+        raise TrainerError(f"the trainer rsl_rl does not do {', '.join(refused)}", hint="use the trainer ppo for that")

@@ -82,7 +82,7 @@ class Rendered:
 
 
 class Generator:
-    """Batch `index` of a seed is the same whenever and in whatever order it is asked for."""
+    """Batch `index` of a seed is the same whenever and in whatever order it is requested."""
 
     def __init__(
         self,

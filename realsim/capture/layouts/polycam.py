@@ -91,12 +91,12 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
         return View(of_depth, of_color, pose, time, confidence)
 
     frames, dropped = frames_with(pairs, unit, view_of)
-    said = {
+    origin = {
         "corrected": "corrected images and cameras are used: undistorted, poses optimised by Polycam",
         "as recorded": "there are no corrected images and cameras: those of ARKit are used, which drift, and the "
         "images are slightly distorted",
     }[kind]
-    assumptions = [said, unit.note, GRIDS_NOTE, *unknown, "frames are named by their time in microseconds"]
+    assumptions = [origin, unit.note, GRIDS_NOTE, *unknown, "frames are named by their time in microseconds"]
     assumptions += [] if config.ignore_poses else [AXES_NOTE, WORLD_NOTE]
     return capture(folder, LAYOUT.name, frames, dropped, assumptions, up_world=None if config.ignore_poses else UP)
 

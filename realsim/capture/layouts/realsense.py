@@ -1,6 +1,6 @@
 """A RealSense recording (`.bag`), read through pyrealsense2.
 
-The library can only play a recording from its start, and frames here are asked for in any order. So a recording is
+The library can only play a recording from its start, and frames here are requested in any order. So a recording is
 unpacked once, into the user's cache folder, and read from there; a changed recording is unpacked anew.
 """
 

@@ -1,6 +1,6 @@
 """A ROS 1 or ROS 2 bag, or MCAP, with a depth camera: images, camera_info and tf (docs/captures.md).
 
-Frames are asked for in any order and a bag is read from its start, so it is unpacked once into the user's cache
+Frames are requested in any order and a bag is read from its start, so it is unpacked once into the user's cache
 folder; a changed recording is unpacked anew. Only one message is in memory at a time.
 """
 
@@ -76,16 +76,16 @@ def read(path: Path, config: CaptureConfig) -> FrameSet:
     if source is None:
         raise CaptureError("no bag", file=path, expected="a .bag, .db3 or .mcap file, or a ROS 2 bag's folder")
     folder = unpacked(source, config)
-    said = read_json(folder / "frames.json")
-    of_depth = Intrinsics(**said["depth_camera"])
-    of_color = Intrinsics(**said["color_camera"]) if said["color_camera"] else None
+    recorded = read_json(folder / "frames.json")
+    of_depth = Intrinsics(**recorded["depth_camera"])
+    of_color = Intrinsics(**recorded["color_camera"]) if recorded["color_camera"] else None
     unit = depth_unit(0.001, "16UC1 is millimetres in ROS", config)
-    rows = {row["name"]: row for row in said["frames"]}
+    rows = {row["name"]: row for row in recorded["frames"]}
     pairs = [
         Pair(name, folder / row["color"] if row["color"] else None, folder / row["depth"]) for name, row in rows.items()
     ]
     given = not config.ignore_poses and any(row["pose"] for row in rows.values())
-    dropped = tuple(Dropped(name, reason) for name, reason in said["dropped"])
+    dropped = tuple(Dropped(name, reason) for name, reason in recorded["dropped"])
     if given:
         dropped += tuple(Dropped(n, "tf has no pose at its time") for n, row in rows.items() if not row["pose"])
         pairs = [p for p in pairs if rows[p.name]["pose"]]
@@ -95,10 +95,10 @@ def read(path: Path, config: CaptureConfig) -> FrameSet:
         pose = np.array(row["pose"]).reshape(4, 4) if given else None
         return View(of_depth, of_color, pose, float(row["time"]))
 
-    frames, lost = frames_with(pairs, unit, view_of, with_color=of_color is not None or said["colored"])
-    notes = [f"the recording was unpacked into {folder}", unit.note, *said["notes"]]
+    frames, lost = frames_with(pairs, unit, view_of, with_color=of_color is not None or recorded["colored"])
+    notes = [f"the recording was unpacked into {folder}", unit.note, *recorded["notes"]]
     up = np.array([0.0, 0.0, 1.0]) if given and not config.ignore_poses else None
-    return capture(path, LAYOUT.name, frames, dropped + lost, notes, said["warnings"], up)
+    return capture(path, LAYOUT.name, frames, dropped + lost, notes, recorded["warnings"], up)
 
 
 def unpacked(source: Path, config: CaptureConfig) -> Path:

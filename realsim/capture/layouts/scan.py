@@ -68,7 +68,7 @@ def read(path: Path, config: CaptureConfig) -> Scan:
     flat = [f"{count} triangles name a vertex twice: they have no area"] if count else []
     shape = "a cloud" if raw.triangles is None else "a mesh"
     assumptions = [
-        f"{shape} in {config.unit}{'' if config.unit == 'm' else ', as asked for'}: "
+        f"{shape} in {config.unit}{'' if config.unit == 'm' else ', as requested'}: "
         f"{np.ptp(points, axis=0)[0]:.3g} x {np.ptp(points, axis=0)[1]:.3g} x {np.ptp(points, axis=0)[2]:.3g} m",
         *raw.notes,
         *([origin_note(origin)] if origin.any() else []),

@@ -63,7 +63,7 @@ def verdict_lines(verdict: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def sides_said(sides: Mapping[str, Any]) -> str:
+def describe_sides(sides: Mapping[str, Any]) -> str:
     """How collision geometry stops rays from the side, in words."""
     if sides["stopped"] is None:
         return "too few side faces to measure"

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 import tyro
 
 from realsim import robots
-from realsim.cli.commands import CommandResult, sides_said, strict_exit, verdict_lines
+from realsim.cli.commands import CommandResult, describe_sides, strict_exit, verdict_lines
 from realsim.cli.commands.many import run_each
 from realsim.core.errors import RealsimError
 from realsim.core.files import output_folder
@@ -61,7 +61,7 @@ def contact(
         f"phantom        {c['phantom_area_cm2']:.0f} cm2, missing {c['missing_area_cm2']:.0f} cm2, "
         f"{c['leaks']} leak{'s' * (c['leaks'] != 1)}",
         f"heights        {drop['phantom_share'] + drop['missing_share']:.1%} off by more than 2 cm",
-        f"sides          {sides_said(c['sides'])}",
+        f"sides          {describe_sides(c['sides'])}",
         f"step cost      {c['step_cost_vs_plane']:.2f} times a plane's",
         *(f"mended         {note}" for note in c["mended"]),
         *(f"note           {warning}" for warning in files.warnings),

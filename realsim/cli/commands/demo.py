@@ -88,12 +88,12 @@ def _python() -> str:
 
 def _table(errors: dict[str, Any], sensor: float, poses: bool) -> list[str]:
     """The measured errors against the known truth, one a line."""
-    said = "recovered from the poses" if poses else "cannot be told from the frames alone"
+    remark = "recovered from the poses" if poses else "cannot be determined from the frames alone"
     rows = [
         (
             "scale error",
             f"{100 * errors['scale_error']:.2f} %",
-            f"the sensor's own is {100 * abs(sensor - 1):.2f} %: {said}",
+            f"the sensor's own is {100 * abs(sensor - 1):.2f} %: {remark}",
         ),
         ("tilt error", f"{errors['tilt_deg']:.3f} degrees", ""),
         ("heading error", f"{abs(errors['yaw_deg']):.3f} degrees", ""),

@@ -19,7 +19,7 @@ from realsim.core.files import refuse_within
 from realsim.core.progress import answers_early, note, steps, track
 from realsim.gap.case.recordings import is_recording
 from realsim.gap.config import DiagnoseConfig
-from realsim.gap.verdicts import SAID, GapVerdict
+from realsim.gap.verdicts import WORDINGS, GapVerdict
 from realsim.jobs import ManyConfig
 
 if TYPE_CHECKING:
@@ -113,7 +113,7 @@ def diagnose(
             result = gap.run_case(
                 case, out, config, tick, overwrite=overwrite, scene=scene, recordings=recordings, since=since
             )
-        level = SAID[GapVerdict(result["verdict"])].level
+        level = WORDINGS[GapVerdict(result["verdict"])].level
         text = _summary(result, out, config)
         if since is not None:
             text = f"{text}\nsince      {result['since']['sentence']}"
@@ -124,7 +124,7 @@ def diagnose(
         raise RealsimError(
             "--since and new recordings belong to one case", expected="one CASE", found=f"{len(cases)} cases"
         )
-    levels = {verdict.value: said.level for verdict, said in SAID.items()}
+    levels = {verdict.value: wording.level for verdict, wording in WORDINGS.items()}
     return run_each("diagnose", cases, out, many, shows="sentence", levels=levels)
 
 
@@ -220,8 +220,8 @@ def from_recording(recording: Path, model: Path, case: Path, overwrite: bool = F
 
     target = logs.load_target(model)
     proposal = logs.propose(logs.read(recording), target)
-    for said in logs.write_case(proposal, target, case, overwrite=overwrite, check=gap.load_case):
-        note(said)
+    for wording in logs.write_case(proposal, target, case, overwrite=overwrite, check=gap.load_case):
+        note(wording)
     return case
 
 
@@ -241,11 +241,11 @@ def _summary(result: Mapping[str, Any], out: Path, config: DiagnoseConfig) -> st
     """The verdict in a word, then a table of at most a dozen lines; all of it is in diagnosis.json and the report."""
     from realsim.gap.answer.brief import brief
 
-    said = SAID[GapVerdict(result["verdict"])]
+    wording = WORDINGS[GapVerdict(result["verdict"])]
     # The finding itself where it can be acted on; the rest of the sentence is in the rows.
     cut_short = result["statistics"]["cut_short"]
-    told = said.level == "good" if result["causes"] else cut_short  # what was not searched for is not ruled out
-    finding = result["sentence"] if told else said.headline
+    certain = wording.level == "good" if result["causes"] else cut_short  # what was not searched for is not ruled out
+    finding = result["sentence"] if certain else wording.headline
     parts = brief(result)
     rows = [row for part in parts.values() for row in part]
     warnings = result["health"]["warnings"]
@@ -253,4 +253,4 @@ def _summary(result: Mapping[str, Any], out: Path, config: DiagnoseConfig) -> st
         rows.append(("notes", f"{len(warnings)} about the log, in the report; the first: {warnings[0]}"))
     rows.append(("files", f"{out / 'model.xml'}, {out / ('report.html' if config.report else 'diagnosis.json')}"))
     cut = " (the search was cut short)" if cut_short else ""
-    return "\n".join([f"{said.word}{cut}: {finding}", *(f"  {label:<9}{text}" for label, text in rows)])
+    return "\n".join([f"{wording.word}{cut}: {finding}", *(f"  {label:<9}{text}" for label, text in rows)])

@@ -11,7 +11,7 @@ from realsim.core.errors import RealsimError
 from realsim.core.recognise import whole
 from realsim.export import ALL, EXPORTERS, export_scene
 from realsim.jobs import ManyConfig
-from realsim.results import said_of_edited
+from realsim.results import describe_edited
 
 FORMATS = f"{ALL}|{','.join(EXPORTERS)}"
 """What --help shows."""
@@ -62,7 +62,7 @@ def export(
         lines.append(f"{name:<10} {first}{more}")
     lines += [f"{name:<10} left out: {reason}" for name, reason in written.skipped.items()]
     if written.edited:
-        lines.append(f"note       {said_of_edited(written.edited)}")
+        lines.append(f"note       {describe_edited(written.edited)}")
     data = {
         "folder": str(out or scene / "export"),
         "formats": {name: [str(p) for p in paths] for name, paths in written.items()},

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import tyro
 
-from realsim.cli.commands import CommandResult, sides_said, strict_exit, verdict_lines
+from realsim.cli.commands import CommandResult, describe_sides, strict_exit, verdict_lines
 from realsim.core.errors import require
 
 
@@ -25,7 +25,7 @@ def lint(mjcf: Annotated[Path, tyro.conf.Positional], strict: bool = False) -> C
         f"geoms    {found['geoms']}, {len(found['hulls'])} of them hulls that are off their mesh",
         f"error    {found['median_mm']:.1f} mm median, {found['p95_mm']:.1f} mm at the 95th percentile",
         f"phantom  {found['phantom_area_cm2']:.0f} cm2, missing {found['missing_area_cm2']:.0f} cm2",
-        f"sides    {sides_said(found['sides'])}",
+        f"sides    {describe_sides(found['sides'])}",
         f"seams    {len(found['seams'])} where parts only meet",
         f"leaks    {found['leaks']} of {found['leak_objects']} balls",
         *(f"hull     {hull['geom']}: off by {hull['off_mm']:.0f} mm" for hull in found["hulls"]),

@@ -69,12 +69,12 @@ def log(
         text += f"\n\nplots   {plot}"
         data["plot"] = str(plot)
     if out is not None and target is not None:
-        said = logs.write_case(proposal, target, out, overwrite=overwrite, check=gap.load_case)
+        notes = logs.write_case(proposal, target, out, overwrite=overwrite, check=gap.load_case)
         case = gap.load_case(out)
-        said += [*(f"left out: {run}" for run in case.dropped_runs), *case.warnings]
+        notes += [*(f"left out: {run}" for run in case.dropped_runs), *case.warnings]
         runs = f"{len(case.runs)} run{'s' * (len(case.runs) > 1)}"
         steps = [f"look at {out / 'log.html'}", f"realsim diagnose {out} --check"]
-        lines = [f"case    {out} ({runs})", *(f"note    {s}" for s in said), *(f"next    {s}" for s in steps)]
+        lines = [f"case    {out} ({runs})", *(f"note    {s}" for s in notes), *(f"next    {s}" for s in steps)]
         text += "\n".join(["", "", *lines])
-        data |= {"case": str(out), "notes": said}
+        data |= {"case": str(out), "notes": notes}
     return CommandResult(text, data)

@@ -57,7 +57,7 @@ def run_each(
     first = f"{len(outcomes) - failed} of {len(outcomes)} done"
     lines = [
         ", ".join([first, *(f"{count} {what}" for what, count in counts.items() if count)]),
-        *_table([(o.name, *_said(o, shows, level(o))) for o in outcomes]),
+        *_table([(o.name, *_cells(o, shows, level(o))) for o in outcomes]),
     ]
     lines.append(f"logs: {out / FOLDER}/*/log.txt" if failed else f"jobs: {out / FOLDER}")
     items = [
@@ -75,7 +75,7 @@ def _table(rows: Sequence[tuple[str, str, str, str]]) -> list[str]:
     return ["  " + "  ".join([*(f"{cell:<{w}}" for cell, w in zip(row, widths, strict=False)), row[3]]) for row in rows]
 
 
-def _said(outcome: Outcome, shows: str, level: str) -> tuple[str, str, str]:
+def _cells(outcome: Outcome, shows: str, level: str) -> tuple[str, str, str]:
     seconds = f"{outcome.seconds:.0f} s" if outcome.seconds else ""
     if not outcome.ok:
         found = outcome.result.get("found") or outcome.result.get("file")

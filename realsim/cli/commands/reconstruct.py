@@ -70,8 +70,8 @@ def _summary(result: Reconstruction) -> list[str]:
         by_reason: dict[str, list[str]] = {}
         for name, stage, reason in dropped:
             by_reason.setdefault(f"{reason} ({stage})", []).append(name)
-        said = [(names[0] if len(names) == 1 else f"{len(names)} frames", why) for why, names in by_reason.items()]
-        lines += _first([f"dropped {which}: {why}" for which, why in said], "more reasons")
+        note = [(names[0] if len(names) == 1 else f"{len(names)} frames", why) for why, names in by_reason.items()]
+        lines += _first([f"dropped {which}: {why}" for which, why in note], "more reasons")
         lines.append(f"scale   {scale.value:.4f} [{scale.ci90[0]:.4f}, {scale.ci90[1]:.4f}] by {scale.method}")
     if result.changes is not None:
         lines += [f"since   {change['text']}" for change in result.changes["objects"]] or ["since   nothing changed"]
@@ -82,10 +82,10 @@ def _summary(result: Reconstruction) -> list[str]:
         if platform is not None:
             x, y, z = platform.centroid
             lines.append(f"{role:<7} {x:+.3f} {y:+.3f} {z:+.3f} m, {platform.size[0]:.2f} x {platform.size[1]:.2f} m")
-    lines += [f"frame   {said}" for said in result.aligned.assumptions]
+    lines += [f"frame   {note}" for note in result.aligned.assumptions]
     width, depth, height = (result.aligned.bounds[1] - result.aligned.bounds[0]).tolist()
     lines.append(f"kept    {width:.2f} x {depth:.2f} x {height:.2f} m of the capture")
-    lines += _first([f"cut     {said}" for said in result.aligned.cropped], "more objects")
+    lines += _first([f"cut     {note}" for note in result.aligned.cropped], "more objects")
     lines.append(f"mesh    {result.mesh.quality.triangles} triangles, {result.mesh.method}")
     lines.append(f"time    {sum(s.seconds for s in result.stages):.1f} s")
     return lines + [f"note    {w}" for w in result.warnings]

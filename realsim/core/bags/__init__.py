@@ -112,7 +112,7 @@ def mcap_records(path: Path, notes: list[str], problem: type[RealsimError] = Gap
                     try:
                         parts = breakup_chunk(record)
                     except Exception as error:  # each compression has its own errors; the next chunk may be whole
-                        notes.append(f"{path.name}: a damaged chunk is left out ({_said(error)})")
+                        notes.append(f"{path.name}: a damaged chunk is left out ({_described(error)})")
                         continue
                     seen = True
                     yield from parts
@@ -122,11 +122,11 @@ def mcap_records(path: Path, notes: list[str], problem: type[RealsimError] = Gap
         # Damage shows as whatever it leads to: a wrong length, a broken chunk, a text that is none.
         except (McapError, ValueError, LookupError, EOFError, RuntimeError, zlib.error, struct.error, OSError) as error:
             if not seen:
-                raise problem("not a readable MCAP file", file=path, found=_said(error)) from error
-            notes.append(f"{path.name} is damaged or cut off: read as far as it goes ({_said(error)})")
+                raise problem("not a readable MCAP file", file=path, found=_described(error)) from error
+            notes.append(f"{path.name} is damaged or cut off: read as far as it goes ({_described(error)})")
         except (MemoryError, OverflowError) as error:
-            raise problem("not a readable MCAP file", file=path, found=_said(error)) from error
+            raise problem("not a readable MCAP file", file=path, found=_described(error)) from error
 
 
-def _said(error: BaseException) -> str:
+def _described(error: BaseException) -> str:
     return f"{type(error).__name__}: {error}"[:160]

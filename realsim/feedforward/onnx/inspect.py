@@ -26,7 +26,7 @@ class Trial:
     """(H, W)."""
     seconds: float | None
     """None where it failed."""
-    said: str
+    outcome: str
     """Shapes that came out, or why it failed."""
 
 
@@ -126,8 +126,8 @@ def _run(model: Model, n: int, size: tuple[int, int]) -> Trial:
 def _trial(t: Trial) -> str:
     head = f"{t.views} view{'s' if t.views > 1 else ''} of {t.size[0]} x {t.size[1]}"
     if t.seconds is None:
-        return f"{head}: FAILS: {t.said}"
-    return f"{head}: {1e3 * t.seconds / t.views:.0f} ms a view; {t.said}"
+        return f"{head}: FAILS: {t.outcome}"
+    return f"{head}: {1e3 * t.seconds / t.views:.0f} ms a view; {t.outcome}"
 
 
 def _text(value: object) -> str:

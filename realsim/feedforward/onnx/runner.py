@@ -109,16 +109,16 @@ def _placed(runs: _Runs, n: int, config: OnnxConfig) -> tuple[Placed, int, list[
     spec = runs.model.spec
     limits = [v for v in (spec.n_static, spec.max_views, config.max_views) if v is not None]
     most = min([*limits, max(runs.inputs.views_in_memory(), spec.n_static or 0)])
-    said: list[str] = []
+    notes: list[str] = []
     while True:
         try:
             if spec.kind == "pair":
-                return place_pairs(runs, n), 2, said
+                return place_pairs(runs, n), 2, notes
             if spec.kind == "mono":
-                return place_single(runs, n), 1, said
+                return place_single(runs, n), 1, notes
             if most < 2 and n > 1:
                 raise OutOfMemory("one view per run cannot be joined")
-            return place_windows(runs, n, most, spec.n_static), min(most, n), said
+            return place_windows(runs, n, most, spec.n_static), min(most, n), notes
         except OutOfMemory as error:
             # A frozen graph, a pair and a single view cannot be made smaller.
             smaller = min(most, n) // 2
@@ -129,8 +129,8 @@ def _placed(runs: _Runs, n: int, config: OnnxConfig) -> tuple[Placed, int, list[
                     found=f"a run of {min(most, n)} views of {h} x {w} pixels fails: {error or 'out of memory'}",
                     hint="use a smaller model, or set a smaller fixed_hw in its sidecar",
                 ) from error  # fmt: skip
-            said.append(f"out of memory with {min(most, n)} views per run: repeated with {smaller}")
-            note(said[-1])
+            notes.append(f"out of memory with {min(most, n)} views per run: repeated with {smaller}")
+            note(notes[-1])
             most = smaller
 
 

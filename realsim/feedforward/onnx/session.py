@@ -15,7 +15,7 @@ from realsim.core.onnx_file import Envelope, read_envelope
 from realsim.feedforward.onnx.spec import Port, Spec, make_spec, sidecar
 
 PREFERRED = ("CUDA", "ROCM", "MIGraphX", "DML", "CoreML", "OpenVINO", "CPU")
-"""Execution providers that are taken without being asked for, the fastest first. TensorRT builds for minutes."""
+"""Execution providers that are taken without being requested, the fastest first. TensorRT builds for minutes."""
 DTYPES = {"tensor(float)": np.float32, "tensor(float16)": np.float16, "tensor(double)": np.float64,
           "tensor(int64)": np.int64, "tensor(int32)": np.int32}  # fmt: skip
 
@@ -49,21 +49,21 @@ def short(provider: str) -> str:
     return provider.removesuffix("ExecutionProvider").lower()
 
 
-def choose_provider(asked: str | None) -> list[str]:
+def choose_provider(wanted: str | None) -> list[str]:
     """Full names for onnxruntime, the CPU last.
 
     Raises:
-        ModelError: what was asked for is not there.
+        ModelError: what was requested is not there.
     """
     there = _local(runtime())
-    if asked is None:
+    if wanted is None:
         known = {short(p): p for p in there}
         first = next((known[p.lower()] for p in PREFERRED if p.lower() in known), there[-1])
     else:
-        matching = [p for p in there if asked.lower() in (p.lower(), short(p))]
+        matching = [p for p in there if wanted.lower() in (p.lower(), short(p))]
         if not matching:
             raise ModelError(
-                f"the execution provider {asked} is not there",
+                f"the execution provider {wanted} is not there",
                 expected=f"one of {', '.join(map(short, there))}",
                 hint="install the onnxruntime that has it (onnxruntime-gpu for cuda), or leave --provider out",
             )

@@ -188,10 +188,10 @@ def _given(path: Path, metadata: Mapping[str, str]) -> dict[str, tuple[Any, str]
     beside = sidecar(path)
     sources: list[tuple[str, Mapping[str, Any]]] = []
     if beside.is_file():
-        said = read_json(beside)
-        if not isinstance(said, dict):
+        entries = read_json(beside)
+        if not isinstance(entries, dict):
             raise ModelError("the model's sidecar is not an object", file=beside, expected='{"kind": ...}')
-        sources.append(("sidecar", said))
+        sources.append(("sidecar", entries))
     sources.append(("metadata", metadata))
     for origin, values in sources:
         for key, text in values.items():

@@ -152,10 +152,10 @@ def _completing(frames: FrameSet, model: Model, config: PointsConfig) -> Solutio
     grids = dict(zip(views.used, views.grids, strict=True))
     whole = replace(views, depth=depth, conf=conf, grids=tuple(grids.get(i, views.grids[0]) for i in range(n)))
     silent = [frames.frames[base.used[i]].name for i in sorted(views.lost)]
-    said = (f"the model completes nothing in {len(silent)} frames: {', '.join(silent[:5])}",) if silent else ()
+    notes = (f"the model completes nothing in {len(silent)} frames: {', '.join(silent[:5])}",) if silent else ()
     return replace(
         base,
-        warnings=(*base.warnings, *views.warnings, *said),
+        warnings=(*base.warnings, *views.warnings, *notes),
         statistics={**base.statistics, "model": dict(views.statistics)},
         arrays=pack(whole),
     )

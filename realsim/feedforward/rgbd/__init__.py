@@ -83,11 +83,11 @@ def _refine_given(frames: FrameSet, posed: list[int], config: PointsConfig) -> S
     chosen = [frames.frames[i] for i in posed]
     T = np.stack([f.T_world_camera for f in chosen if f.T_world_camera is not None])
     colour = register_color(chosen, frames.source, config.seed)
-    said: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     if not frames.poses_metric:
         factor, error = measure_scale(colour.evidence, T)
         T[:, :3, 3] *= factor
-        said = (
+        notes = (
             f"the given poses are not in metres: their positions, and with them their world, were multiplied by "
             f"{factor:.4g} (± {error:.1%}), as the depth says",
         )
@@ -108,7 +108,7 @@ def _refine_given(frames: FrameSet, posed: list[int], config: PointsConfig) -> S
             colour = register_color_under(T, colour, keep, options)
         found = refine_or_keep([colour.frames[k] for k in keep], T[keep], colour.evidence.subset(keep), **options)
     found["statistics"] |= {"check": dict(check.statistics), **colour.statistics}
-    found["warnings"] = said + colour.warnings + check.warnings + found["warnings"]
+    found["warnings"] = notes + colour.warnings + check.warnings + found["warnings"]
     unposed = tuple(Dropped(f.name, "has no pose") for f in frames.frames if f.T_world_camera is None)
     return Solution(
         used=tuple(posed[k] for k in keep),

@@ -30,26 +30,26 @@ def refine_or_keep(
         estimate_gain: also recover the depth sensor's gain.
         sensor_sigma: relative standard error of the sensor's own scale, before anything was seen.
     """
-    said: list[str] = []
+    notes: list[str] = []
     tried: list[dict[str, Any]] = []
-    for name, found in _proposals(frames, T, evidence, estimate_gain, sensor_sigma, seed, said):
+    for name, found in _proposals(frames, T, evidence, estimate_gain, sensor_sigma, seed, notes):
         after = (found.T_world_camera, found.depth_gain)
         judged = compare(evidence.views, found.held_out, (T, 1.0), after, seed)
         tried.append({"proposal": name, **asdict(judged)})
         if not judged.grew:
             fields = found.fields(frames)
-            fields["warnings"] = (*said, *warn_of_scale(fields["depth_gain"]), *fields["warnings"])
+            fields["warnings"] = (*notes, *warn_of_scale(fields["depth_gain"]), *fields["warnings"])
             fields["statistics"] |= {"poses": f"given, {name}", "held_out": tried}
             return fields
-        said.append(
+        notes.append(
             f"the poses {name} were discarded: on {judged.pairs} pairs of frames that took no part, depth fits depth "
             f"to {1e3 * judged.after_m:.1f} mm instead of {1e3 * judged.before_m:.1f} mm with the given poses"
         )
-    said.append("the given poses and the sensor's own depth are used as they are")
+    notes.append("the given poses and the sensor's own depth are used as they are")
     return {
         "T_world_camera": T,
         "pose_sigma_m": tried[0]["before_m"] if tried and tried[0]["pairs"] else None,
-        "warnings": tuple(said),
+        "warnings": tuple(notes),
         "statistics": {"poses": "given", "held_out": tried},
     }
 
@@ -71,7 +71,7 @@ def _proposals(
     estimate_gain: bool,
     sensor_sigma: float,
     seed: int,
-    said: list[str],
+    notes: list[str],
 ) -> Iterator[tuple[str, RefineResult]]:
     options: dict[str, Any] = {"trust": "metric", "seed": seed, "sensor_sigma": sensor_sigma}
     found = refine(frames, T, evidence=evidence, estimate_gain=estimate_gain, **options)
@@ -84,11 +84,11 @@ def _proposals(
         other = f"surfaces without colour say {alone.depth_gain - 1:+.1%}"
         sigma = np.hypot(found.depth_gain_sigma, alone.depth_gain_sigma)
         if abs(found.depth_gain - alone.depth_gain) > 2 * sigma:
-            said.append(f"{text}; {other}, beyond both errors: the gain is not applied")
+            notes.append(f"{text}; {other}, beyond both errors: the gain is not applied")
             estimate_gain, alone = False, None
             found = refine(frames, T, evidence=evidence, estimate_gain=False, **options)
         else:
-            said.append(f"{text}; surfaces without colour confirm it")
+            notes.append(f"{text}; surfaces without colour confirm it")
     yield "refined", found
     if evidence.has_features:
         alone = alone or refine(frames, T, evidence=bare, estimate_gain=estimate_gain, **options)

@@ -39,7 +39,7 @@ def judge_gain(step: Step, tracks: Tracks, surface: Surface, n_frames: int, sens
 
     What the capture says and what is known of the sensor (1 with the relative standard error `sensor_sigma`) are two
     measurements of one gain, weighted by their variances. A gain that the capture tells no better than the sensor's own
-    calibration is not applied. `sensor_sigma` None: not asked for.
+    calibration is not applied. `sensor_sigma` None: not requested.
     """
     if sensor_sigma is None:
         return GainEstimate(1.0, float("inf"))
@@ -63,7 +63,7 @@ def judge_gain(step: Step, tracks: Tracks, surface: Surface, n_frames: int, sens
     if sigma > sensor_sigma:
         sigma = max(sigma, min(step.gain_sigma, GAIN_PRIOR))
         text = (
-            f"the depth scale cannot be told from this capture (gain {found:.4f} ± {sigma:.4f}): "
+            f"the depth scale cannot be determined from this capture (gain {found:.4f} ± {sigma:.4f}): "
             "too little baseline, or too few shared features; depth is used as the sensor gave it"
         )
         return GainEstimate(1.0, sigma, (text,), statistics)

@@ -90,17 +90,17 @@ def find_still_cells(views: Sequence[View], seed: int = 0) -> Bool | None:
     camera = views[0].camera
     size = round(COLUMNS * camera.height / camera.width), COLUMNS
     hits = np.zeros(size, int)
-    asked = told = 0
+    tried = matched = 0
     for i in np.unique(np.linspace(0, len(views) - 1 - STEP, PAIRS).round().astype(int)) if len(views) > STEP else ():
         xy = _staying(views[i], views[i + STEP], rng)
         if xy is None:
             continue
-        asked += 1
-        told += len(xy) >= MATCHES
+        tried += 1
+        matched += len(xy) >= MATCHES
         at = (xy * (camera.fx, camera.fy) + (camera.cx + 0.5, camera.cy + 0.5)) / (camera.width, camera.height)
         column, row = np.clip((at * size[::-1]).astype(int), 0, np.array(size[::-1]) - 1).T
         hits[row, column] += 1
-    if told < max(PAIRED, OFTEN * asked):
+    if matched < max(PAIRED, OFTEN * tried):
         return None
     return _wider(_wider(hits >= 2))
 

@@ -94,7 +94,7 @@ def _estimate_together(views: Sequence[View], seed: int, learned: bool) -> tuple
     chosen = [views[i] for i in used]
     statistics: dict[str, Any] = {"pairs": len(edges), "refused_links": len(joined.refused)}
     statistics["parts"] = [len(p) for p in joined.parts if len(p) > 1]
-    statistics |= net.told
+    statistics |= net.counts
     local = {int(v): k for k, v in enumerate(used)}
     first = [Match(local[m.i], local[m.j], m.a, m.b, m.T_i_j) for m in net.matches if _fits(m, T, local)]
     landmarks = None
@@ -115,8 +115,8 @@ def _estimate_together(views: Sequence[View], seed: int, learned: bool) -> tuple
         here = [Edge(local[e.i], local[e.j], e.T_i_j, e.weight, e.root) for e in edges]
         T, closed = close_loops(chosen, T, here)
         statistics |= {"pairs": len(closed), "by_shape": True}
-    said = tuple(net.said) + _said(views, joined)
-    return Estimate(tuple(int(i) for i in used), T, lost, statistics, said, tuple(joined.edges)), landmarks
+    notes = tuple(net.notes) + _warnings(views, joined)
+    return Estimate(tuple(int(i) for i in used), T, lost, statistics, notes, tuple(joined.edges)), landmarks
 
 
 @dataclass(frozen=True)
@@ -133,9 +133,9 @@ class Net:
     """The views, some with more features than before."""
     learned: set[tuple[int, int]]
     """Pairs that the learned matcher matched."""
-    said: list[str]
+    notes: list[str]
     """Of the learned matcher, for people."""
-    told: dict[str, int]
+    counts: dict[str, int]
     """The same in figures; empty where it was not asked."""
 
 
@@ -162,9 +162,9 @@ def connect(views: Sequence[View], seed: int, learned: bool = True) -> Net:
         net.matches.extend(found_more.matches)
         net.edges.extend(map(make_edge, found_more.matches))
         net.learned.update((m.i, m.j) for m in found_more.matches)
-        net.said.extend(found_more.said())
-        if found_more.asked:
-            net.told.update(learned_asked=found_more.asked, learned_pairs=len(found_more.matches))
+        net.notes.extend(found_more.notes())
+        if found_more.queried:
+            net.counts.update(learned_queried=found_more.queried, learned_pairs=len(found_more.matches))
     # Pairs by shape that a third frame confirms.
     believed, refused = link_by_shape(net.views, net.edges, seed)
     net.edges.extend(believed)
@@ -208,7 +208,7 @@ def _lost(views: Sequence[View], net: Net, joined: Joined) -> dict[int, str]:
     return out
 
 
-def _said(views: Sequence[View], joined: Joined) -> tuple[str, ...]:
+def _warnings(views: Sequence[View], joined: Joined) -> tuple[str, ...]:
     """Pieces that could not be joined, in words."""
     pieces = [p for p in joined.parts[1:] if len(p) >= WORTH_TELLING]
     if not pieces:

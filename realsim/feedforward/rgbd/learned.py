@@ -42,12 +42,12 @@ class Learned:
     views: list[View]
     """All views; those in `matches` have more features than before, the old ones first."""
     matches: list[Match]
-    asked: int = 0
+    queried: int = 0
     """Pairs."""
     unavailable: str | None = None
     """Why it could not be asked although it would have been."""
 
-    def said(self) -> list[str]:
+    def notes(self) -> list[str]:
         """For people; nothing where it changed nothing."""
         if self.unavailable is not None:
             return [f"frames that features do not connect were not shown to the learned matcher: {self.unavailable}"]
@@ -57,7 +57,7 @@ class Learned:
         few = ", ".join(names[:4]) + (" ..." if len(names) > 4 else "")
         return [
             f"features found too little in some pairs of frames; a learned matcher joined {len(self.matches)} of the "
-            f"{self.asked} that it was shown ({few}), and the depth agrees"
+            f"{self.queried} that it was shown ({few}), and the depth agrees"
         ]
 
 
@@ -75,17 +75,17 @@ def join_pieces(views: Sequence[View], edges: Sequence[Edge], seed: int) -> Lear
         return Learned(list(views), [], unavailable=why)
     shown, keypoints = list(views), dict[int, matcher.Keypoints]()
     matches: list[Match] = []
-    asked = 0
+    queried = 0
     for i, j in track(sorted(pairs, key=lambda p: (p[1] - p[0], p)), "hard matches"):
         if j - i > NEAR:
             now = label_pieces(n, [*edges, *map(make_edge, matches)])
             if now[i] == now[j]:
                 continue
-        asked += 1
+        queried += 1
         found = _match(views, shown, keypoints, i, j, seed)
         if found is not None:
             matches.append(found)
-    return Learned(*_trimmed(views, shown, keep_supported(matches, n, edges)), asked)
+    return Learned(*_trimmed(views, shown, keep_supported(matches, n, edges)), queried)
 
 
 def match_loops(views: Sequence[View], pairs: Sequence[tuple[int, int]], seed: int) -> tuple[list[View], list[Match]]:

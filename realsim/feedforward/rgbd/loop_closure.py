@@ -402,12 +402,12 @@ def _free(views: Sequence[View], T: F64, left: NDArray[np.int64], right: NDArray
     """Whether frames on both sides of a closed loop agree about free space, near it and apart from its own links."""
     own = {(min(e.i, e.j), max(e.i, e.j)) for e in loop.edges}
     at = np.array([e.i for e in loop.edges] + [e.j for e in loop.edges])
-    asked = []
+    candidates = []
     for i in left[np.argsort(np.abs(left[:, None] - at).min(1), kind="stable")][:ASKED]:
         away = np.linalg.norm(T[right, :3, 3] - T[i, :3, 3], axis=1) + 1 - T[right, :3, 2] @ T[i, :3, 2]
-        asked += [(int(i), int(j)) for j in right[np.argsort(away, kind="stable")][:2]]
+        candidates += [(int(i), int(j)) for j in right[np.argsort(away, kind="stable")][:2]]
     fits = []
-    for i, j in asked:
+    for i, j in candidates:
         if (min(i, j), max(i, j)) not in own:
             fit = overlap(views[i], views[j], invert_T(T[i]) @ T[j], 4)
             if fit.fraction > MIN_OVERLAP:

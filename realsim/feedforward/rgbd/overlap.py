@@ -43,7 +43,7 @@ class Landing:
     """Row and column in A's thinned grid, (M,) each."""
     source_index: np.ndarray
     """(M,) flat pixel of B."""
-    asked: int
+    total: int
     """Points of B altogether."""
 
 
@@ -63,14 +63,14 @@ def project_view(A: View, B: View, T_a_b: F64, stride: int = 1) -> Landing:
 
 def overlap(A: View, B: View, T_a_b: F64, stride: int = 2) -> Overlap:
     """How well the two depth images fit at the motion T_a_b (points of B into A)."""
-    asked = agree = against = 0
+    total = agree = against = 0
     for X, Y, T in ((A, B, T_a_b), (B, A, invert_T(T_a_b))):
         landing = project_view(X, Y, T, stride)
         difference = 1 / landing.points[:, 2] - 1 / landing.depth
-        asked += landing.asked
+        total += landing.total
         agree += int((np.abs(difference) < TOLERANCE).sum())
         against += int((difference > 2 * TOLERANCE).sum())
-    return Overlap(agree / max(asked, 1), agree / max(agree + against, 1))
+    return Overlap(agree / max(total, 1), agree / max(agree + against, 1))
 
 
 def register(

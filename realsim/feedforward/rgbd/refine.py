@@ -49,9 +49,9 @@ class RefineResult:
     T_world_camera: F64
     """(N, 4, 4) camera to the world of the given poses, metres."""
     depth_gain: float
-    """Corrected depth = gain * sensor depth; 1 where it was not asked for or cannot be told."""
+    """Corrected depth = gain * sensor depth; 1 where it was not requested or cannot be determined."""
     depth_gain_sigma: float
-    """Its standard error; infinite where the gain was not asked for."""
+    """Its standard error; infinite where the gain was not requested."""
     residual_m: float
     """Median over keyframes of `per_frame_residual_m`, metres."""
     per_frame_residual_m: F64
@@ -102,7 +102,7 @@ def refine(
         sensor_sigma: relative standard error of the depth sensor's own scale before anything was seen.
 
     Raises:
-        PoseError: poses of wrong number, not finite, or not rigid; a gain asked for without metric poses.
+        PoseError: poses of wrong number, not finite, or not rigid; a gain requested without metric poses.
     """
     T = _checked(frames, T_world_camera)
     if estimate_gain and trust != "metric":

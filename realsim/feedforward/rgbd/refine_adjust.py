@@ -267,7 +267,7 @@ def _prior_components(new: Sigmas, old: Sigmas, r_p: F64, normal: Normal, seed: 
         probe[:, part] = signs
         probe = np.vstack([probe.reshape(6 * n, 24), np.zeros((1, 24))])
         trace = float((probe * normal.solve_kept(probe)).sum() / 24)
-        told = np.clip(3 * n - trace / sigma**2, 0.02 * n, 3 * n)
+        determined = np.clip(3 * n - trace / sigma**2, 0.02 * n, 3 * n)
         square = float((r_p.reshape(n, 2, 3)[:, part] ** 2).sum())
-        values.append(max(np.sqrt(square / told), floor))
+        values.append(max(np.sqrt(square / determined), floor))
     return replace(new, position=float(min(values[0], 0.5)), angle=float(min(values[1], 0.2)))

@@ -7,7 +7,7 @@ from realsim.gap.answer.sentence import SIGNALS, amount, phrase, share
 
 MOST_CAUSES, MOST_SIGNALS, MOST_WHERE = 3, 2, 1
 """Rows of each kind: a terminal's dozen lines hold them all."""
-NOTHING_SAID = "–"
+NOTHING_KNOWN = "–"
 
 Row = tuple[str, str]
 """(label, text)"""

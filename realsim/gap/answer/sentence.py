@@ -41,7 +41,7 @@ def sentence(
     lead: Cause | None = None,
     unsearched: bool = False,
 ) -> str:
-    """What is wrong, how sure that is, what it brings; or why that cannot be told, and what to record. `unsearched`: no
+    """What is wrong, how sure that is, what it brings; or why that is unknown, and what to record. `unsearched`: no
     cause was looked at, so none is ruled out."""
     verdict = judgement.verdict
     nearest = f" The nearest cause is {phrase(lead)}" if lead else ""

@@ -19,7 +19,7 @@ from realsim.gap.simulation.simulate import Simulator
 def what_stays(simulator: Simulator, comparison: Comparison, fit: Fit, runs: Sequence[int]) -> list[dict[str, Any]]:
     """{joint, what, explains} of the joints with the largest rest; see `looks_like`.
 
-    What only wrappers hold (delays, readings) is in the simulated positions and not in the torque that is asked for.
+    What only wrappers hold (delays, readings) is in the simulated positions and not in the torque that is requested.
     """
     try:
         predicted = simulator.simulate(fit.settings(), runs, onsets=fit.conditions.onsets)

@@ -192,15 +192,15 @@ def load_case(folder: Path, recordings: Sequence[Path] = ()) -> Case:
     if not isinstance(log, dict):
         raise GapError("log.json is not an object", file=file)
     spec, model, xml = load_model(folder / "model.xml")
-    said = _Entries(log, file)
-    base = said.choice("base", ("fixed", "floating"))
+    entries = _Entries(log, file)
+    base = entries.choice("base", ("fixed", "floating"))
     hinges = [model.joint(i).name for i in range(model.njnt) if model.jnt_type[i] in (2, 3)]
     whole = base == "floating" and log.get("joint_names") == []  # a body that flies or rolls as a whole
     if whole and hinges:
         expected = f"those of {', '.join(hinges[:20])} that are logged"
         raise GapError("joint_names is empty, but the model has joints", file=file, expected=expected, found="[]")
-    joints = [] if whole else said.names("joint_names", "joint", [model.joint(i).name for i in range(model.njnt)])
-    actuators = said.names("actuator_names", "actuator", [model.actuator(i).name for i in range(model.nu)])
+    joints = [] if whole else entries.names("joint_names", "joint", [model.joint(i).name for i in range(model.njnt)])
+    actuators = entries.names("actuator_names", "actuator", [model.actuator(i).name for i in range(model.nu)])
     for name in joints:
         if name not in hinges:
             expected = "hinge or slide joints in joint_names"
@@ -209,12 +209,12 @@ def load_case(folder: Path, recordings: Sequence[Path] = ()) -> Case:
     if site is not None:
         if not isinstance(site, str):
             raise GapError("imu_site cannot be read", file=file, expected="a name, or null", found=repr(site)[:60])
-        said.match([site], "imu_site", [model.site(i).name for i in range(model.nsite)])
+        entries.match([site], "imu_site", [model.site(i).name for i in range(model.nsite)])
     contact: list[str] = []
     if log.get("contact_bodies") not in (None, []):
-        contact = said.names("contact_bodies", "contact body", [model.body(i).name for i in range(model.nbody)])
-    kind = said.choice("command_kind", ("position", "velocity", "torque"))
-    torque = said.choice("torque_kind", ("none", "measured", "current_times_constant"), "none")
+        contact = entries.names("contact_bodies", "contact body", [model.body(i).name for i in range(model.nbody)])
+    kind = entries.choice("command_kind", ("position", "velocity", "torque"))
+    torque = entries.choice("torque_kind", ("none", "measured", "current_times_constant"), "none")
     if log.get("command_hold", "zoh") != "zoh":
         raise GapError("unknown command_hold", file=file, expected="zoh", found=str(log["command_hold"]))
     free = bool(model.njnt and (model.jnt_type == 0).any())

@@ -189,9 +189,9 @@ def velocity_lag(case: Case) -> float:
         speeds = np.stack([_bridge(grid, run.time, c) for c in run.signals["joint_vel"].T], axis=1)
         way = np.cumsum((speeds[1:] + speeds[:-1]) * step / 2, axis=0, dtype=float)  # blurred as positions are
         slope = _cubics(grid, run.time, run.signals["joint_pos"], 1)
-        told = _cubics(grid, grid, np.concatenate([np.zeros_like(speeds[:1]), way]), 1)
+        reference = _cubics(grid, grid, np.concatenate([np.zeros_like(speeds[:1]), way]), 1)
         size = np.maximum(np.std(slope, axis=0), 1e-3)
-        left = np.array([np.mean(((low_passed(slope, lag, step) - told) / size) ** 2) for lag in LAGS])
+        left = np.array([np.mean(((low_passed(slope, lag, step) - reference) / size) ** 2) for lag in LAGS])
         shares.append(left / max(left[0], 1e-12))
     if not shares:
         return 0.0

@@ -64,7 +64,7 @@ def _stands(case: Case, column: int, joint: str) -> bool:
     if name is None or case.command_kind == "torque":  # friction may bear a torque, and that says how much it is
         return False
     drive = case.actuator_names.index(name)
-    moved, asked = [], []
+    moved, variances = [], []
     for run in case.runs:
         command = run.command[:, drive] / case.gear(joint)
         if case.command_kind == "velocity":
@@ -73,7 +73,7 @@ def _stands(case: Case, column: int, joint: str) -> bool:
         on = run.on[:, drive] & np.isfinite(reading)
         if on.any():
             moved.append(float(np.var(reading[on])))
-            asked.append(float(np.var(command[on])))
+            variances.append(float(np.var(command[on])))
     least = COMMANDED / 20 if case.slides(joint) else COMMANDED
-    size = float(np.sqrt(np.mean(asked or [0.0])))
+    size = float(np.sqrt(np.mean(variances or [0.0])))
     return size > least and float(np.sqrt(np.mean(moved))) < STANDS * size

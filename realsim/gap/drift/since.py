@@ -122,8 +122,8 @@ def changed_since(
             "runs_before": [pair.case.runs[i].name for i in pair.before],
             "runs_now": [pair.case.runs[i].name for i in pair.now],
         }
-        said = sentence(verdict, changes, others) + (f" {CUT_SHORT}" if cut_short else "")
-        return Since(verdict, said, tuple(changes), tuple(map(tuple, others)), statistics, (*pair.notes, *notes))
+        text = sentence(verdict, changes, others) + (f" {CUT_SHORT}" if cut_short else "")
+        return Since(verdict, text, tuple(changes), tuple(map(tuple, others)), statistics, (*pair.notes, *notes))
 
 
 def _loosen(screen: Screen, shared: Fit, there: bool) -> None:
@@ -222,15 +222,15 @@ def sentence(verdict: str, changes: Sequence[Change], equivalent: Sequence[Seque
     """The verdict as one sentence."""
     if verdict == "unchanged":
         return "Nothing changed that these two logs can show, beyond what comes and goes from day to day."
-    said = "; ".join(phrase(c) for c in changes)
+    text = "; ".join(phrase(c) for c in changes)
     if verdict == "ambiguous":
         either = ", or ".join("; ".join(phrase(c) for c in s) for s in (changes, *equivalent))
         return f"Something changed, and cannot tell what: {either}."
     if verdict == "unexplained":
-        near = f" The nearest is {said}: it may only imitate the change." if changes else ""
+        near = f" The nearest is {text}: it may only imitate the change." if changes else ""
         return f"Something changed that no effect of this library explains.{near}"
     hints = [by for c in changes if (by := EFFECTS[c["effect"]].words.changed_by)]
-    return f"{said}{f' (often {hints[0]})' if len(hints) == 1 == len(changes) else ''}."
+    return f"{text}{f' (often {hints[0]})' if len(hints) == 1 == len(changes) else ''}."
 
 
 def phrase(change: Change) -> str:

@@ -19,7 +19,7 @@ ENOUGH = 16.0
 expected. Not tuned."""
 
 WORTH_IT = 1.2
-"""Times the even odds that the true rival's expected posterior must reach for an experiment to be asked for."""
+"""Times the even odds that the true rival's expected posterior must reach for an experiment to be requested."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ def _rank(one: Looked) -> tuple[bool, float, float]:
 def _largest(bench: Bench, rivals: Sequence[Rival], name: str) -> Looked:
     """The excitation at the largest size that stays within the limits under every rival."""
     make: Callable[..., Experiment | None] = EXCITATIONS[name]
-    said, title = "this robot or its log cannot do it", name.replace("_", " ")
+    reason, title = "this robot or its log cannot do it", name.replace("_", " ")
     for size in SIZES:
         experiment = make(bench.rig, size)
         if experiment is None:
@@ -112,7 +112,7 @@ def _largest(bench: Bench, rivals: Sequence[Rival], name: str) -> Looked:
         title = experiment.title
         predicted = bench.predicted(experiment, rivals)
         if isinstance(predicted, str):
-            said = predicted
+            reason = predicted
             continue
         return Looked(name, title, size, "", predicted, separations(predicted, rivals))
-    return Looked(name, title, 0.0, said)
+    return Looked(name, title, 0.0, reason)

@@ -56,8 +56,8 @@ def _table(looked: Sequence[Looked]) -> str:
         if one.refused:
             rows.append([one.title, "-", "-", one.refused])
         else:
-            said = "everyday deviations included" if one.with_deviations else ""
-            rows.append([one.title, f"{one.posterior:.2f}", f"{one.worst / 2:.1f}", said])
+            remark = "everyday deviations included" if one.with_deviations else ""
+            rows.append([one.title, f"{one.posterior:.2f}", f"{one.worst / 2:.1f}", remark])
     return page.table(["excitation", "probability", "log Bayes factor", ""], rows)
 
 

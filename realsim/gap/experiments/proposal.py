@@ -45,11 +45,11 @@ def propose(simulator: Simulator, noise: Noise, fits: Sequence[Fit], config: Dia
     return described(looked, rivals)
 
 
-def with_text(advice: str, asked: Mapping[str, Any] | None) -> str:
+def with_text(advice: str, proposal: Mapping[str, Any] | None) -> str:
     """The advice of an ambiguous verdict with the experiment in place of a kind of signal."""
-    if asked is None or not advice.startswith(TELLS):
+    if proposal is None or not advice.startswith(TELLS):
         return advice
-    return f"{TELLS}{asked['text']} (realsim excite)" if asked.get("excitation") else str(asked["text"])
+    return f"{TELLS}{proposal['text']} (realsim excite)" if proposal.get("excitation") else str(proposal["text"])
 
 
 def described(looked: Sequence[Looked], rivals: Sequence[Rival]) -> dict[str, Any]:

@@ -75,10 +75,10 @@ def rival_of(fit: Fit, says: str) -> Rival:
     return Rival(tuple(parts), np.asarray(fit.covariance), says)
 
 
-def rivals_from(said: Sequence[Mapping[str, Any]], context: Context) -> tuple[Rival, ...]:
+def rivals_from(entries: Sequence[Mapping[str, Any]], context: Context) -> tuple[Rival, ...]:
     """Rivals of diagnosis.json (`next_experiment.rivals`). Raises GapError where they are not of this robot."""
     found = []
-    for entry in said:
+    for entry in entries:
         try:
             parts = tuple(
                 Part(

@@ -114,8 +114,8 @@ class Bench:
         edit = simulator.edited(settings)
         tracks = simulator.roll_out(edit, None)
         for run, track in zip(simulator.case.runs, tracks, strict=True):
-            if said := self.limits.broken(track):
-                return f"{run.name}: {said}"
+            if broken := self.limits.broken(track):
+                return f"{run.name}: {broken}"
         return [simulator.read(run, track, edit) for run, track in zip(simulator.case.runs, tracks, strict=True)]
 
     def deviations(self, predicted: Predicted) -> F64:

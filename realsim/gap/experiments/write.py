@@ -18,7 +18,7 @@ from realsim.gap.experiments.rivals import Rival
 
 
 def write_experiment(
-    folder: Path, case: Case, looked: Sequence[Looked], rivals: Sequence[Rival], asked: Mapping[str, Any]
+    folder: Path, case: Case, looked: Sequence[Looked], rivals: Sequence[Rival], proposal: Mapping[str, Any]
 ) -> dict[str, Any]:
     """Write the best of `looked` into a folder that exists; returns what experiment.json holds.
 
@@ -32,7 +32,7 @@ def write_experiment(
         write_text(folder / "commands" / f"{run.name}.csv", _csv(case, run))
         write_bytes(folder / "commands" / f"{run.name}.npz", _npz(case, run))
     plan = {
-        **{k: v for k, v in asked.items() if k != "rivals"},
+        **{k: v for k, v in proposal.items() if k != "rivals"},
         "title": experiment.title,
         "command_kind": case.command_kind,
         "actuator_names": list(case.actuator_names),

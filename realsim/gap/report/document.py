@@ -8,7 +8,7 @@ The page shows what a `Diagnosis` holds and simulates nothing; what it cannot dr
 from pathlib import Path
 
 from realsim.core.files import write_text
-from realsim.gap.answer.brief import NOTHING_SAID, Row, brief
+from realsim.gap.answer.brief import NOTHING_KNOWN, Row, brief
 from realsim.gap.answer.diagnosis import Diagnosis
 from realsim.gap.answer.verdict import RIGHT
 from realsim.gap.report.evidence import (
@@ -25,7 +25,7 @@ from realsim.gap.report.robot import robot_card
 from realsim.gap.report.since import since_card
 from realsim.gap.report.where import evidence_cards
 from realsim.gap.report.words import times
-from realsim.gap.verdicts import SAID, GapVerdict
+from realsim.gap.verdicts import WORDINGS, GapVerdict
 from realsim.report import page, viewer3d
 
 _PARTS = 'style="display:grid;gap:6px 26px;grid-template-columns:repeat(auto-fit,minmax(min(210px,100%),1fr))"'
@@ -63,27 +63,27 @@ def _evidence(found: Diagnosis) -> list[str]:
 
 
 def _title(found: Diagnosis) -> tuple[str, str]:
-    said, case = found.statistics, None if found.evidence is None else found.evidence.case
-    parts = [f"{said['logged_seconds']:g} s of log" if "logged_seconds" in said else ""]
+    statistics, case = found.statistics, None if found.evidence is None else found.evidence.case
+    parts = [f"{statistics['logged_seconds']:g} s of log" if "logged_seconds" in statistics else ""]
     if case is not None:
         runs, joints = len(case.runs), len(case.joint_names)
         parts += [f"{runs} run{'s' * (runs != 1)}", f"{joints} joint{'s' * (joints != 1)}"]
-    if "seconds" in said:
-        simulated = said.get("simulated_seconds", 0)
-        parts.append(f"diagnosed in {said['seconds']:.0f} s with {simulated:.0f} s of simulation")
+    if "seconds" in statistics:
+        simulated = statistics.get("simulated_seconds", 0)
+        parts.append(f"diagnosed in {statistics['seconds']:.0f} s with {simulated:.0f} s of simulation")
     name = "" if case is None or not case.folder.name else f" of {case.folder.name}"
     return f"Sim-to-real gap{name}", ", ".join(filter(None, parts))
 
 
 def _banner(found: Diagnosis) -> str:
     """The verdict in a word and a line; then cause, error, and where or why, and what to do."""
-    said = SAID[GapVerdict(found.verdict)]
+    wording = WORDINGS[GapVerdict(found.verdict)]
     parts = brief(found.as_dict())
     named = {"cause": "Cause", "size": "Error", "evidence": "Why" if found.verdict == "no_gap" else "Where"}
     cells = [f"<div><h4>{name}</h4>{_rows(parts[key])}</div>" for key, name in named.items() if parts[key]]
     todo = f"<p><b>Next:</b> {page.esc(found.advice)}.</p>" if found.advice else ""
     return (
-        f'<section class="verdict {said.level}"><div class="word">{said.word}</div>'
+        f'<section class="verdict {wording.level}"><div class="word">{wording.word}</div>'
         f"<div><h2>{page.esc(found.sentence)}</h2>"
         f"<div {_PARTS}>{''.join(cells)}</div>{todo}</div></section>"
     )
@@ -92,12 +92,12 @@ def _banner(found: Diagnosis) -> str:
 def _rows(rows: list[Row]) -> str:
     """One line a row; of labels only those are kept that change what a row says."""
     kept = {"or": "or: ", "rest": "the rest looks "}
-    return "".join(f"<div>{kept.get(label, '')}{page.esc(text or NOTHING_SAID)}</div>" for label, text in rows)
+    return "".join(f"<div>{kept.get(label, '')}{page.esc(text or NOTHING_KNOWN)}</div>" for label, text in rows)
 
 
 def _facts(found: Diagnosis) -> list[tuple[str, str, str]]:
-    said = found.statistics
-    size, facts = said.get("gap_over_floor"), []
+    statistics = found.statistics
+    size, facts = statistics.get("gap_over_floor"), []
     if size is not None:
         facts.append(("Error of the simulator", times(size**0.5), f"{RIGHT} (root mean square)"))
         if found.causes:

@@ -69,10 +69,10 @@ def equivalents_card(found: Diagnosis) -> list[str]:
         parts.append("<h4>What to record to decide</h4>" + page.table(["", ""], rows))
     else:
         effects = dict.fromkeys(c["effect"] for s in (found.causes, *found.equivalent) for c in s)
-        said = [f"{title_of(n)}: {'; '.join(EFFECTS[n].words.excitation)}" for n in effects if n in EFFECTS]
-        parts.append("<h4>What to record to decide: what shows each of these</h4>" + page.bullets(said))
+        lines = [f"{title_of(n)}: {'; '.join(EFFECTS[n].words.excitation)}" for n in effects if n in EFFECTS]
+        parts.append("<h4>What to record to decide: what shows each of these</h4>" + page.bullets(lines))
     note = "These explain the log as well as the causes above. Until a run tells them apart, trust none of them alone."
-    return [page.card("Cannot be told apart", "".join(parts), note)]
+    return [page.card("Cannot be distinguished", "".join(parts), note)]
 
 
 # ---------------------------------------------------------------- ranking
@@ -187,8 +187,8 @@ def model_changes(kept: Arrays) -> str:
 
 def assumptions_card(found: Diagnosis) -> str:
     """What the figures rest on."""
-    said = found.statistics
-    came = [found.sentence, *said.get("reasons", []), *said.get("notes", [])]
+    statistics = found.statistics
+    came = [found.sentence, *statistics.get("reasons", []), *statistics.get("notes", [])]
     parts = ["<h4>How the verdict came about</h4>", page.bullets(came)]
     assumed = [
         "Every part of the robot may differ a little from the model; only what is larger than that can be a cause.",
@@ -203,12 +203,15 @@ def assumptions_card(found: Diagnosis) -> str:
         ]
     parts += ["<h4>Assumed</h4>", page.bullets(assumed)]
     rows = [
-        ["runs that were fitted", ", ".join(said.get("fitted_runs", []))],
+        ["runs that were fitted", ", ".join(statistics.get("fitted_runs", []))],
         ["runs of the check", ", ".join(found.shrinkage.get("runs", []))],
-        ["candidates screened", str(said.get("candidates", "–"))],
-        ["full simulations in fits", str(said.get("fits", "–"))],
-        ["simulated / logged", f"{said.get('simulated_seconds', 0):g} s / {said.get('logged_seconds', 0):g} s"],
-        ["time", f"{said.get('seconds', 0):g} s"],
+        ["candidates screened", str(statistics.get("candidates", "–"))],
+        ["full simulations in fits", str(statistics.get("fits", "–"))],
+        [
+            "simulated / logged",
+            f"{statistics.get('simulated_seconds', 0):g} s / {statistics.get('logged_seconds', 0):g} s",
+        ],
+        ["time", f"{statistics.get('seconds', 0):g} s"],
     ]
     parts += ["<h4>Made with</h4>", page.table(["", ""], rows)]
     return page.card("What this rests on", "".join(parts))

@@ -33,16 +33,16 @@ def health_card(found: Diagnosis) -> str:
 def _clock(health: dict[str, Any]) -> list[list[str]]:
     clock = health.get("clock", {})
     names = {"median_step_s": "sampling step (median)", "jitter_s": "jitter of the time stamps"}
-    known = {said: clock[key] for key, said in names.items() if key in clock}
+    known = {title: clock[key] for key, title in names.items() if key in clock}
     # No clock of a log resolves a nanosecond: what is less comes from rounding.
-    return [[said, "none" if s < 1e-9 else f"{svg.number(1000 * s)} ms"] for said, s in known.items()]
+    return [[title, "none" if s < 1e-9 else f"{svg.number(1000 * s)} ms"] for title, s in known.items()]
 
 
 def _start(health: dict[str, Any]) -> list[list[str]]:
     start = health.get("start", {})
     if not start:
         return []
-    how = Counter(said.partition(":")[0] for said in start.get("runs", {}).values())
+    how = Counter(text.partition(":")[0] for text in start.get("runs", {}).values())
     return [
         *([f"runs started {words}", str(count)] for words, count in how.items()),
         ["start, farthest from the simulator's rest", f"{svg.number(start['farthest_from_rest'], 2)} rad"],

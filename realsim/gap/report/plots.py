@@ -48,11 +48,11 @@ def _rows(kept: Arrays) -> list[tuple[str, Any]]:
     """(name, (phases,) shares), largest first: one a channel where that is few, else one a joint."""
     channels, shares = kept.channels, kept.shares
     if len(channels) <= _CHANNELS:
-        said = [f"{_brief(c.label, 12)} {signal_name(c.signal).removeprefix('joint ')}" for c in channels]
+        labels = [f"{_brief(c.label, 12)} {signal_name(c.signal).removeprefix('joint ')}" for c in channels]
     else:
         names, shares = place_shares(kept)
-        said = [_brief(name) if kind == "joint" else signal_name(name) for kind, name in names]
-    return [(said[i], shares[i]) for i in np.argsort(-shares.sum(axis=1), kind="stable")]
+        labels = [_brief(name) if kind == "joint" else signal_name(name) for kind, name in names]
+    return [(labels[i], shares[i]) for i in np.argsort(-shares.sum(axis=1), kind="stable")]
 
 
 def _brief(joint: str, most: int = 17) -> str:

@@ -29,12 +29,13 @@ def since_card(found: Diagnosis) -> list[str]:
         if len(sets) > 1:
             parts.append(f"<h4>{'What fits best' if i == 0 else f'Alternative {i}'}</h4>")
         parts.append(page.table(["what", "parameter", "before", "now", "change", "90 %"], _rows(changes)))
-    said = since["statistics"]
+    figures = since["statistics"]
     parts.append(
         page.bullets(
             [
-                f"Error of the earlier log: {times(said['left_before'])} {RIGHT}; of the later one "
-                f"{times(said['left_now_without_change'])} without and {times(said['left_now'])} with the change.",
+                f"Error of the earlier log: {times(figures['left_before'])} {RIGHT}; of the later one "
+                f"{times(figures['left_now_without_change'])} without and {times(figures['left_now'])} "
+                "with the change.",
                 *since["notes"],
             ]
         )

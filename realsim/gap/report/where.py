@@ -19,12 +19,17 @@ def evidence_cards(found: Diagnosis) -> list[str]:
 
 def _torque_card(found: Diagnosis) -> list[str]:
     """Torque that inverse dynamics does not explain, against the velocity, of the joint that lacks most."""
-    said = found.statistics.get("torque_residual")
-    if not said:
+    residuals = found.statistics.get("torque_residual")
+    if not residuals:
         return []
-    order = sorted(said, key=lambda j: -said[j]["share"] * (said[j]["explains"] + 0.05))
+    order = sorted(residuals, key=lambda j: -residuals[j]["share"] * (residuals[j]["explains"] + 0.05))
     rows = [
-        [short(j, 24), f"{svg.number(said[j]['rms_Nm'], 2)} N m", percent(said[j]["share"]), _term(said[j])]
+        [
+            short(j, 24),
+            f"{svg.number(residuals[j]['rms_Nm'], 2)} N m",
+            percent(residuals[j]["share"]),
+            _term(residuals[j]),
+        ]
         for j in order[:6]
     ]
     note = "Logged torque less what the nominal equations need for the logged motion; nothing is simulated."
@@ -70,10 +75,10 @@ def _wrench_card(found: Diagnosis) -> list[str]:
         rows.append([axis.replace("_", " "), f"{svg.number(v['value'], 2)} {v['unit']}",
                      f"[{svg.number(low, 2)}, {svg.number(high, 2)}]"])  # fmt: skip
     mass = wrench["mass_kg"]
-    said = f"The vertical force weighs {svg.number(mass, 2)} kg ({'more' if mass > 0 else 'less'} than the model)."
+    text = f"The vertical force weighs {svg.number(mass, 2)} kg ({'more' if mass > 0 else 'less'} than the model)."
     note = (
         "Mean force (world axes) and torque (the base's axes) that the rows without a motor lack, contact forces taken "
         "from the legs' torques. A payload or a push shows here, an effect in a joint does not."
     )
-    body = page.table(["axis", "missing", "90 % interval"], rows) + f'<p class="note">{page.esc(said)}</p>'
+    body = page.table(["axis", "missing", "90 % interval"], rows) + f'<p class="note">{page.esc(text)}</p>'
     return [page.card("Wrench that the base lacks", body, note)]

@@ -42,7 +42,7 @@ class Cores:
 
 
 class Recent(Generic[Made]):
-    """The last few results of something that takes long; what was asked for last is forgotten last.
+    """The last few results of something that takes long; what was requested last is forgotten last.
 
     Two threads that ask for the same at once both make it: no thread waits for another one's simulation.
     """

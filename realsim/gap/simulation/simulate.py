@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from realsim.core.errors import GapError, RealsimError
-from realsim.core.progress import asked_early
+from realsim.core.progress import stop_requested
 from realsim.core.types import F64, Bool, MjModel
 from realsim.gap.case.case import Case, Run
 from realsim.gap.case.model.channels import Channel as Channel
@@ -189,9 +189,9 @@ class Simulator:
             unknown = set(values) - set(full)
             if unknown:
                 raise GapError(f"{name} has no parameter {sorted(unknown)[0]!r}", expected=", ".join(full))
-            asked = edit.asked
+            requests = edit.requests
             effect.apply(edit, place, full | values)
-            if edit.asked > asked:
+            if edit.requests > requests:
                 edit.bodily.append((name, place, values))
         return edit
 
@@ -313,11 +313,11 @@ class Simulator:
 
         `off`: (T, U) bool a run of actuators that give no force at a step, or None where all do.
         """
-        if self._end < np.inf and (asked_early() or time.monotonic() > self._end):
+        if self._end < np.inf and (stop_requested() or time.monotonic() > self._end):
             raise OutOfTime(
                 "the search ended before there was an answer",
                 file=self.case.folder,
-                found="an interrupt" if asked_early() else f"a time limit of {self.config.time_limit:g} minutes",
+                found="an interrupt" if stop_requested() else f"a time limit of {self.config.time_limit:g} minutes",
                 hint="raise time_limit (--time-limit), or name the effects to consider (--effects)",
             )
         step: Roller = rolled

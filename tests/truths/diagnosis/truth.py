@@ -19,7 +19,7 @@ class Truth:
     kd: np.ndarray = field(init=False)
     """Ratio on the drive's velocity gain."""
     motor_gain: np.ndarray = field(init=False)
-    """Ratio of the torque delivered to the torque asked for."""
+    """Ratio of the torque delivered to the torque requested."""
     torque_limit: np.ndarray = field(init=False)
     """N m, infinite where the model's own limit holds."""
     no_load_speed: np.ndarray = field(init=False)

@@ -101,7 +101,7 @@ class DepthCamera:
 
 
 class DepthWindow:
-    """Images stored once in a ring and gathered when the window I_(t - late - k * stride), k = 0..m-1, is asked for."""
+    """Images stored once in a ring and gathered when the window I_(t - late - k * stride), k = 0..m-1, is requested."""
 
     def __init__(self, config: DepthConfig, shape: tuple[int, int], worlds: int, device: torch.device) -> None:
         self.length = (config.frames - 1) * config.stride + 1 + config.latency[1]

@@ -22,7 +22,7 @@ class Command:
     """(N,) rad/s that would turn the base towards the goal."""
     distance: Tensor
     """(N,) m to the goal's centre."""
-    told: Tensor
+    speed_command: Tensor
     """(N,) m/s that the actor is told."""
 
     @property
@@ -32,7 +32,7 @@ class Command:
 
     def rows(self, ids: Tensor) -> Command:
         """Of worlds `ids` only."""
-        return Command(self.velocity[ids], self.yaw_rate[ids], self.distance[ids], self.told[ids])
+        return Command(self.velocity[ids], self.yaw_rate[ids], self.distance[ids], self.speed_command[ids])
 
     def observed(self, steered: bool = False) -> Tensor:
         """(N, 3) what the actor is told: straight ahead at this speed, no sideways and no turning command.
@@ -43,7 +43,7 @@ class Command:
         if steered:
             return torch.cat([self.velocity, self.yaw_rate[:, None]], -1)
         zero = torch.zeros_like(self.yaw_rate)
-        return torch.stack([self.told, zero, zero], -1)
+        return torch.stack([self.speed_command, zero, zero], -1)
 
 
 @dataclass

@@ -37,21 +37,21 @@ def examine(simulator: Simulator) -> dict[str, Any]:
     """Figures and `warnings`. Raises GapError where no diagnosis is possible."""
     case = simulator.case
     warnings = list(case.warnings) + [f"left out: {d}" for d in case.dropped_runs]
-    clock, said = clocks(case)
-    warnings += said
+    clock, notes = clocks(case)
+    warnings += notes
     warnings += log_conventions(case)
     warnings += _overlaps(simulator)
     warnings += _failures(simulator)
     warnings += _excitation(case)
-    gone, said = missing(case)
-    warnings += said + spikes(case) + uncompared(case)
+    gone, notes = missing(case)
+    warnings += notes + spikes(case) + uncompared(case)
     nominal = simulator.simulate()
     warnings += nominal_conventions(simulator, nominal)
-    start, said = initial_states(simulator)
-    warnings += said
-    full, said = saturation(simulator)
-    warnings += said
-    floor, said = noise(simulator, nominal)
+    start, notes = initial_states(simulator)
+    warnings += notes
+    full, notes = saturation(simulator)
+    warnings += notes
+    floor, notes = noise(simulator, nominal)
     warnings += _undriven(simulator)
     return {
         "clock": clock,
@@ -60,7 +60,7 @@ def examine(simulator: Simulator) -> dict[str, Any]:
         "noise": floor,
         "start": start,
         "saturation": full,
-        "warnings": gathered(warnings + said, [r.name for r in case.runs]),
+        "warnings": gathered(warnings + notes, [r.name for r in case.runs]),
     }
 
 
@@ -113,12 +113,12 @@ def _excitation(case: Case) -> list[str]:
     moved = np.max([np.ptp(r.command, axis=0) for r in case.runs], axis=0)
     idle = [name for name, m in zip(case.actuator_names, moved, strict=True) if m < 1e-6]
     who = "1 run holds" if still == 1 else f"{still} runs hold"
-    said = [f"{who} one command: loads at rest are all that shows"] if still else []
+    notes = [f"{who} one command: loads at rest are all that shows"] if still else []
     if any(len(group) == len(case.runs) for group in replicates(case)):
-        said.append("all runs repeat one command: no run is left to check the diagnosis on; record other motion too")
+        notes.append("all runs repeat one command: no run is left to check the diagnosis on; record other motion too")
     if idle:
-        said.append(f"never commanded to move, so the log says little about them: {', '.join(idle)}")
-    return said
+        notes.append(f"never commanded to move, so the log says little about them: {', '.join(idle)}")
+    return notes
 
 
 def _failure(case: Case, run: str, track: dict[str, Any], row: int, joint: int | None) -> GapError:
@@ -166,7 +166,7 @@ def _overlaps(simulator: Simulator) -> list[str]:
     case = simulator.case
     model, data = case.model, mujoco.MjData(case.model)
     found: dict[tuple[str, str], float] = {}
-    said = []
+    notes = []
     for run, start in zip(case.runs, simulator.starts, strict=True):
         sunk = 0.0
         state = initial_state(case, model, run, Edit(simulator.context), start)
@@ -180,7 +180,7 @@ def _overlaps(simulator: Simulator) -> list[str]:
                 a, b = sorted(model.body(i).name or f"body {i}" for i in bodies)
                 found[a, b] = max(found.get((a, b), 0.0), float(-contact.dist))
         if sunk > OVERLAP:
-            said.append(
+            notes.append(
                 f"{run.name}: the robot begins {1000 * sunk:.0f} mm inside the ground, which pushes it out: is the "
                 "base's height that of this model, and does the model's ground lie where the robot's does?"
             )
@@ -195,7 +195,7 @@ def _overlaps(simulator: Simulator) -> list[str]:
             "is fixed to the world collide with its children), or turn contacts off: "
             '<option><flag contact="disable"/></option>',
         )
-    return said
+    return notes
 
 
 def _terrain(case: Case, bodies: Sequence[int]) -> bool:
@@ -222,12 +222,12 @@ def _failures(simulator: Simulator) -> list[str]:
             start = float(np.nanmedian(real[:5]))
             if low < 0.5 * start <= np.nanmin(real) * 1.4:
                 falls.append((run.name, float(np.argmax(track["base_pos"][:, 2] < 0.5 * start)) * dt - settle))
-    said = ", ".join(f"in {name} at {when:.2f} s" for name, when in falls)
+    notes = ", ".join(f"in {name} at {when:.2f} s" for name, when in falls)
     if len(falls) > SOME_FALLS * len(case.runs):
         raise GapError(
             "the nominal simulator falls over where the robot does not",
             file=case.folder / "model.xml",
-            found=said,
+            found=notes,
             hint="shorten the runs (max_seconds), or fix the model first: do gains and force ranges bear the robot?",
         )
-    return [f"the nominal simulator falls over where the robot does not, {said}"] if falls else []
+    return [f"the nominal simulator falls over where the robot does not, {notes}"] if falls else []

@@ -14,7 +14,7 @@ from realsim.gap.simulation.simulate import Simulator
 from realsim.gap.simulation.start import NOISES, first_fit, first_speed_spread
 from realsim.gap.simulation.state import AT_REST, Start, first_rows
 
-Said = list[str]
+Notes = list[str]
 SLOWEST = 0.2
 """s between samples beyond which nothing of a servo's motion is left in a log."""
 COARSE = 0.05
@@ -48,9 +48,9 @@ CHANGES = 0.7
 nothing to do with each other it is 1."""
 
 
-def clocks(case: Case) -> tuple[dict[str, Any], Said]:
+def clocks(case: Case) -> tuple[dict[str, Any], Notes]:
     """Sampling step and jitter, medians over runs. Refuses a log that is too coarse or too short."""
-    said, steps, jitters = [], [], []
+    notes, steps, jitters = [], [], []
     for run in case.runs:
         step = np.diff(run.time)
         median = float(np.median(step))
@@ -59,13 +59,15 @@ def clocks(case: Case) -> tuple[dict[str, Any], Said]:
         steps.append(median)
         jitters.append(jitter)
         if jitter < 1e-6 * median + 1e-7 * run.duration:  # the latter is what single precision rounds
-            said.append(f"{run.name}: perfectly even time stamps: they were generated, not measured")
+            notes.append(f"{run.name}: perfectly even time stamps: they were generated, not measured")
         elif jitter > 0.3 * median:
-            said.append(f"{run.name}: the sampling step varies by {jitter / median:.0%}: check what stamps the samples")
+            notes.append(
+                f"{run.name}: the sampling step varies by {jitter / median:.0%}: check what stamps the samples"
+            )
         if gaps.any():
             longest = f"the longest {step.max():.3g} s"
-            said.append(f"{run.name}: {int(gaps.sum())} late samples, {longest}: the last command holds until then")
-        said += _stale(run.name, run.signals["joint_pos"], run.command, case.joint_names)
+            notes.append(f"{run.name}: {int(gaps.sum())} late samples, {longest}: the last command holds until then")
+        notes += _stale(run.name, run.signals["joint_pos"], run.command, case.joint_names)
     usual, length = float(np.median(steps)), float(sum(r.duration for r in case.runs))
     if usual > SLOWEST or length < SHORTEST:
         raise GapError(
@@ -76,11 +78,11 @@ def clocks(case: Case) -> tuple[dict[str, Any], Said]:
             hint='is time in seconds? If not: "units": {"time": "ms"} in log.json',
         )
     if usual > COARSE:
-        said.append(f"a sample every {usual:.3g} s: what is faster (delay, servo gains, reversals) hardly shows")
-    return {"median_step_s": usual, "jitter_s": float(np.median(jitters))}, said
+        notes.append(f"a sample every {usual:.3g} s: what is faster (delay, servo gains, reversals) hardly shows")
+    return {"median_step_s": usual, "jitter_s": float(np.median(jitters))}, notes
 
 
-def _stale(name: str, values: F64, command: F64, joints: tuple[str, ...]) -> Said:
+def _stale(name: str, values: F64, command: F64, joints: tuple[str, ...]) -> Notes:
     """Readings that repeat exactly while the command moves: the sensor is slower than the log."""
     moving = (np.abs(np.diff(command, axis=0)) > 1e-9).any(axis=1)
     same = (np.diff(values, axis=0) == 0)[moving]
@@ -95,12 +97,12 @@ def _stale(name: str, values: F64, command: F64, joints: tuple[str, ...]) -> Sai
     return [f"{name}: the reading of {', '.join(stuck)} stands still while the command moves"] if stuck else []
 
 
-def spikes(case: Case) -> Said:
+def spikes(case: Case) -> Notes:
     """Single samples far from the two before and the two after, which agree: a bit that flipped, a reading of 0.
 
     Velocities and torques are not looked at: an impact looks like that.
     """
-    said = []
+    notes = []
     arrays = {"command": (case.actuator_names, [r.command for r in case.runs])}
     arrays["joint_pos"] = (case.joint_names, [r.signals["joint_pos"] for r in case.runs])
     for array, (names, values) in arrays.items():
@@ -111,8 +113,8 @@ def spikes(case: Case) -> Said:
             for run, column in zip(case.runs, columns, strict=True):
                 if len(rows := _spikes(column, least)):
                     at, more = run.time[rows[0]], f" and {len(rows) - 1} more" if len(rows) > 1 else ""
-                    said.append(f"{run.name}: {array} of {name} at {at:.3f} s{more} is far from the samples around it")
-    return said
+                    notes.append(f"{run.name}: {array} of {name} at {at:.3f} s{more} is far from the samples around it")
+    return notes
 
 
 def _spikes(column: F64, least: float) -> Any:
@@ -126,7 +128,7 @@ def _spikes(column: F64, least: float) -> Any:
     return rows[2:-2][off > np.maximum(SPIKE * np.ptp(around, axis=0), least)]
 
 
-def missing(case: Case) -> tuple[dict[str, float], Said]:
+def missing(case: Case) -> tuple[dict[str, float], Notes]:
     """Share of each signal that is not there. Refuses a log without most of its joint positions."""
     found = {k: float(np.mean([1 - np.isfinite(r.signals[k]).mean() for r in case.runs if k in r.signals]))
              for k, first in case.runs[0].signals.items() if first.size}  # fmt: skip
@@ -137,13 +139,13 @@ def missing(case: Case) -> tuple[dict[str, float], Said]:
             found=f"{found['joint_pos']:.0%} are missing",
             hint="record positions as often as commands, at 50 Hz or more; check that their columns are the right ones",
         )  # fmt: skip
-    said = [f"{share:.0%} of {name} is missing" for name, share in found.items() if share > 0.05]
+    notes = [f"{share:.0%} of {name} is missing" for name, share in found.items() if share > 0.05]
     partly = sorted({k for r in case.runs for k in r.signals if not all(k in s.signals for s in case.runs)})
-    return found, said + [f"{name} is not in every run, so it is not compared" for name in partly]
+    return found, notes + [f"{name} is not in every run, so it is not compared" for name in partly]
 
 
 def quanta(case: Case) -> dict[str, float]:
-    """Smallest step between readings by signal, the median over its columns; 0 where none can be told."""
+    """Smallest step between readings by signal, the median over its columns; 0 where none can be determined."""
     names = [k for k in case.runs[0].signals if k.startswith("joint") and case.has(k)]
     return {k: _quantum(np.concatenate([r.signals[k] for r in case.runs])) for k in names}
 
@@ -157,12 +159,12 @@ def _quantum(values: F64) -> float:
     return float(np.median(steps)) if steps else 0.0
 
 
-def saturation(simulator: Simulator) -> tuple[dict[str, Any], Said]:
+def saturation(simulator: Simulator) -> tuple[dict[str, Any], Notes]:
     """Share of samples at a limit by joint: the nominal drive's force range, and a flat top of the logged torque."""
     case, context = simulator.case, simulator.context
     drive: dict[str, float] = {}
     logged: dict[str, float] = {}
-    said = []
+    notes = []
     for j, joint in enumerate(case.joint_names):
         if joint in context.actuator and context.limited(joint):
             torque = np.concatenate([np.abs(t["torque"][:, j]) for t in simulator.nominal_tracks])
@@ -172,18 +174,18 @@ def saturation(simulator: Simulator) -> tuple[dict[str, Any], Said]:
             torque = torque[np.isfinite(torque)]
             logged[joint] = float((torque > 0.995 * torque.max()).mean()) if torque.max(initial=0) > 0 else 0.0
             if logged[joint] > MOSTLY:
-                said.append(
+                notes.append(
                     f"{joint}: the logged torque stays at {torque.max():.3g} in {logged[joint]:.0%} of the samples"
                 )
-        said += _end_stops(case, joint, j)
+        notes += _end_stops(case, joint, j)
     full = [f"{joint} ({share:.0%})" for joint, share in drive.items() if share > MOSTLY]
     if full:
-        said.append(f"the nominal drive is at its force range for much of the time: {', '.join(full)}")
+        notes.append(f"the nominal drive is at its force range for much of the time: {', '.join(full)}")
     keep = {"nominal_drive": drive, "logged_torque": logged}
-    return {k: {n: v for n, v in d.items() if v > 0.001} for k, d in keep.items()}, said
+    return {k: {n: v for n, v in d.items() if v > 0.001} for k, d in keep.items()}, notes
 
 
-def _end_stops(case: Case, joint: str, column: int) -> Said:
+def _end_stops(case: Case, joint: str, column: int) -> Notes:
     part = case.model.joint(joint)
     if not part.limited[0]:
         return []
@@ -193,10 +195,10 @@ def _end_stops(case: Case, joint: str, column: int) -> Said:
     return [f"{joint}: {beyond:.0%} of the positions lie beyond the range in model.xml"] if beyond > 0.01 else []
 
 
-def noise(simulator: Simulator, nominal: list[F64]) -> tuple[dict[str, Any], Said]:
+def noise(simulator: Simulator, nominal: list[F64]) -> tuple[dict[str, Any], Notes]:
     """By signal: noise of a sample from the log's high frequencies, and what runs that repeat a command differ by."""
     case, found = simulator.case, {}
-    said = _stillness(case)
+    notes = _stillness(case)
     for signal in dict.fromkeys(c.signal for c in simulator.channels):
         if signal not in case.runs[0].signals:
             continue  # the base's orientation is compared as a rotation vector
@@ -214,14 +216,14 @@ def noise(simulator: Simulator, nominal: list[F64]) -> tuple[dict[str, Any], Sai
             least = max(CHANGES * float(np.mean(list(sizes.values()))), 4 * sample, 2 * _tolerated(case, signal))
             if apart > least:
                 names = " and ".join(case.runs[i].name for i in group)
-                said.append(
+                notes.append(
                     f"{signal}: {names} have the same commands and differ by {apart:.3g}, as much as from the "
                     "simulator: the robot itself changes from run to run"
                 )
-    return found, said
+    return found, notes
 
 
-def _stillness(case: Case) -> Said:
+def _stillness(case: Case) -> Notes:
     """A note on what has more noise than motion; refuses a log in which nothing else moves."""
     still, moving, sizes = [], 0, [0.0]
     for signal, names in (("joint_pos", case.joint_names), ("base_pos", tuple("xyz") if case.floating else ())):
@@ -241,13 +243,13 @@ def _stillness(case: Case) -> Said:
             found="; ".join(still[:3]) or "positions that do not change",
             hint="do the drives give torque, are these the right columns, and are they in the unit that log.json says?",
         )
-    said = [f"more noise than motion: {text}" for text in still] if len(still) <= MOST_STILL else []
+    notes = [f"more noise than motion: {text}" for text in still] if len(still) <= MOST_STILL else []
     if case.joint_names and max(sizes) < LITTLE:
         size = f"{max(sizes):.2g} rad rms at most, 1 m counted as {1 / ARM:g} rad"
-        said.append(
+        notes.append(
             f"the robot hardly moves ({size}): play and stiction are as large. Record motions of 0.1 rad or more"
         )
-    return said
+    return notes
 
 
 def _tolerated(case: Case, signal: str) -> float:
@@ -256,14 +258,14 @@ def _tolerated(case: Case, signal: str) -> float:
     return float(np.hypot(absolute, relative * np.nanstd(np.concatenate([r.signals[signal] for r in case.runs]))))
 
 
-def initial_states(simulator: Simulator) -> tuple[dict[str, Any], Said]:
+def initial_states(simulator: Simulator) -> tuple[dict[str, Any], Notes]:
     """How the runs begin: largest distance from the nominal simulator's rest, rad, and largest speed, rad/s.
 
     `runs` says of every run how it was started in the simulator, `parts` in how many those are replayed that are not
     replayed as a whole.
     """
     case = simulator.case
-    said, off, fast = [], [0.0], [0.0]
+    notes, off, fast = [], [0.0], [0.0]
     how = {}
     for run, track, start, rest, y in zip(
         case.runs, simulator.nominal_tracks, simulator.starts, simulator.rests, simulator.simulate(), strict=True
@@ -277,22 +279,22 @@ def initial_states(simulator: Simulator) -> tuple[dict[str, Any], Said]:
         fast.append(float(np.nanmax(speed, initial=0.0)))
         how[run.name] = f"{STARTED[start.kind]}: {start.reason}"
         done = f"; it is simulated {STARTED[start.kind]}"
-        said += _given_state(case, run, start, first)
+        notes += _given_state(case, run, start, first)
         if not case.joint_names:
             continue
         j = int(np.nanargmax(distance / (travel + REST_OFF)))
         if distance[j] > max(REST_OFF, 0.2 * travel[j]):
-            said.append(
+            notes.append(
                 f"{run.name}: the initial state does not match: {case.joint_names[j]} begins at {first[j]:.3g}, the "
                 f"nominal simulator rests at {rest[j]:.3g} under the first command{done}"
             )
         j = int(np.nanargmax(speed / (peak + 1e-6)))
         if speed[j] > max(REST_SPEED * peak[j], 0.15):
-            said.append(
+            notes.append(
                 f"{run.name}: the run does not begin at rest: {case.joint_names[j]} moves at {speed[j]:.2g} rad/s{done}"
             )
         elif start.moving and not start.anchors and not run.goes_on:
-            said.append(f"{run.name}: the run does not begin at rest{done}")
+            notes.append(f"{run.name}: the run does not begin at rest{done}")
     parts = [
         float(length)
         for run, start in zip(case.runs, simulator.starts, strict=True)
@@ -300,11 +302,11 @@ def initial_states(simulator: Simulator) -> tuple[dict[str, Any], Said]:
         for length in np.diff([0.0, *(a.time for a in start.anchors), run.duration])
     ]
     if parts:
-        said.append(
+        notes.append(
             f"a small error grows fast in replay: it goes on from states of the log, after {np.median(parts):.1f} s "
             f"(median of {len(parts)} parts), each begun where it fits best"
         )
-    return {"farthest_from_rest": max(off), "fastest_at_start": max(fast), "runs": how, "parts": len(parts)}, said
+    return {"farthest_from_rest": max(off), "fastest_at_start": max(fast), "runs": how, "parts": len(parts)}, notes
 
 
 def _first_position(position: F64) -> F64:
@@ -327,14 +329,16 @@ def _first_speed(run: Run, predicted: F64) -> F64:
     return np.where(known & sure, speed, 0.0)
 
 
-def _given_state(case: Case, run: Run, start: Start, first: F64) -> Said:
-    said = []
+def _given_state(case: Case, run: Run, start: Start, first: F64) -> Notes:
+    notes = []
     if run.init_qpos is not None:
         given = np.array([run.init_qpos[case.model.joint(n).qposadr[0]] for n in case.joint_names])
         far = np.abs(given - first)
         if far.max(initial=0.0) > REST_OFF:
             j = int(np.argmax(far))
-            said.append(f"{run.name}: init_qpos has {case.joint_names[j]} at {given[j]:.3g}, the log at {first[j]:.3g}")
+            notes.append(
+                f"{run.name}: init_qpos has {case.joint_names[j]} at {given[j]:.3g}, the log at {first[j]:.3g}"
+            )
     if run.init_qvel is not None and np.abs(run.init_qvel).max(initial=0) > AT_REST and not start.moving:
-        said.append(f"{run.name}: init_qvel is not zero, but the log stands still: the run is simulated from rest")
-    return said
+        notes.append(f"{run.name}: init_qvel is not zero, but the log stands still: the run is simulated from rest")
+    return notes

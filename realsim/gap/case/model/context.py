@@ -51,7 +51,7 @@ class Context:
     travels: dict[str, float] = field(default_factory=dict)
     """Joint -> range of its positions in the log, rad or m."""
     sensors: dict[tuple[str, ...], list[int]] = field(default_factory=dict)
-    """Columns of MuJoCo's sensors by prefix and names, as they were first asked for: no effect changes them."""
+    """Columns of MuJoCo's sensors by prefix and names, as they were first requested: no effect changes them."""
     reversals: dict[str, int] = field(default_factory=dict)
     load_reversals: dict[str, int] = field(default_factory=dict)
 

@@ -145,25 +145,25 @@ class Edit:
         self.onsets = dict(onsets or {})
         self.signals = Signals()
         self.bodily: list[Any] = []
-        """Settings of the effects that asked for the spec."""
+        """Settings of the effects that requested the spec."""
         self.later: Edit | None = None
         """The simulator of the later one of two logs, where that differs."""
         self._spec = spec
-        self._asked = 0
+        self._requests = 0
 
     @property
-    def asked(self) -> int:
-        """How often the spec was asked for: an effect that does not ask leaves the bodies as they are."""
-        return self._asked
+    def requests(self) -> int:
+        """How often the spec was requested: an effect that does not ask leaves the bodies as they are."""
+        return self._requests
 
     @property
     def touched(self) -> bool:
-        """Whether the spec was asked for, and so may differ from the nominal one."""
+        """Whether the spec was requested, and so may differ from the nominal one."""
         return self._spec is not None
 
     @property
     def spec(self) -> MjSpec:
-        self._asked += 1
+        self._requests += 1
         if self._spec is None:
             self._spec = self.context.spec.copy()
         return self._spec

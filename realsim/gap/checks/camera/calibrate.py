@@ -275,7 +275,7 @@ class _Fitter:
         from those of all pixels (M, 7) in the camera's axes.
 
         Taken by simulation too, they would differ by a little from what they are: the same, in other axes; and what no
-        data tell apart but priors would be told apart by that.
+        data tell apart but priors would be distinguished by that.
         """
         frames = self.view.frames[which]
         start = sum(f.depth.size for f in self.view.frames[:which])

@@ -123,7 +123,7 @@ def _blank(problem: Problem, notes: list[str]) -> Problem:
     blind = [t.name for t in contract.terms if t.kind == "unknown"]
     if all(r.lin_vel is None for r in steps.runs):
         blind = [t.name for t in contract.terms if t.kind in ("unknown", "lin_vel")]
-    if "command" in kinds and all(r.told is None for r in steps.runs):
+    if "command" in kinds and all(r.commanded is None for r in steps.runs):
         notes.append("the velocity command is not logged (policy_command): it is estimated five times a second")
     if blind:
         notes.append(f"not logged, taken as zero: {', '.join(blind)}; the other terms are checked")
@@ -146,10 +146,10 @@ def _blank(problem: Problem, notes: list[str]) -> Problem:
 
 def _never_commanded(problem: Problem) -> list[str]:
     """Parts of the velocity command that are zero all along a log: no mistake in them leaves a trace."""
-    told = [r.told for r in problem.steps.runs if r.told is not None]
-    if not told or all(t.kind != "command" for t in problem.contract.terms):
+    commands = [r.commanded for r in problem.steps.runs if r.commanded is not None]
+    if not commands or all(t.kind != "command" for t in problem.contract.terms):
         return []
-    most = np.abs(np.concatenate(told)).max(axis=0)
+    most = np.abs(np.concatenate(commands)).max(axis=0)
     return [word for word, value in zip(("ahead", "left", "to turn"), most, strict=True) if value == 0]
 
 

@@ -104,7 +104,7 @@ def _of_run(contract: Contract, steps: Steps, which: int, loop: Loop) -> F64:
         if np.sqrt(np.mean((action - before) ** 2)) < SETTLED:
             break
     parts = _parts(contract, steps, which, loop, action)
-    if run.told is None and any(t.kind == "command" for t in contract.terms):
+    if run.commanded is None and any(t.kind == "command" for t in contract.terms):
         return _with_unknown(contract, sent, parts, run.images, loop, "command")
     return _targets(contract, sent, parts, run.images, loop)
 
@@ -162,8 +162,8 @@ def _now(contract: Contract, run: Run, order: Sequence[int], sent: F64, loop: Lo
         action = contract.scale * action
     before = np.concatenate([np.zeros_like(action[:1]), action[:-1]])
     gyro = turn(run.quat, run.gyro) if source.get("ang_vel") == "world" else run.gyro
-    told = np.zeros((len(sent), 3)) if run.told is None else run.told
-    now = {"ang_vel": gyro, "gravity": _gravity(run, source.get("gravity", "body")), "command": told,
+    commanded = np.zeros((len(sent), 3)) if run.commanded is None else run.commanded
+    now = {"ang_vel": gyro, "gravity": _gravity(run, source.get("gravity", "body")), "command": commanded,
            "joint_pos": run.pos[:, order], "joint_vel": run.vel[:, order], "last_action": before}  # fmt: skip
     return now if run.lin_vel is None else now | {"lin_vel": run.lin_vel}
 

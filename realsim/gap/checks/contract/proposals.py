@@ -299,7 +299,7 @@ def _sourced(kind: str, text: str, term: str, value: str) -> Family:
 
 
 def _commanded(steps: Steps) -> bool:
-    return any(r.told is not None and np.abs(r.told).max() > 0 for r in steps.runs)
+    return any(r.commanded is not None and np.abs(r.commanded).max() > 0 for r in steps.runs)
 
 
 def _velocity_command(contract: Contract, steps: Steps, loop: Loop) -> Iterator[Family]:

@@ -35,7 +35,7 @@ class Run:
     """(K, 3) rad/s."""
     quat: F64
     """(K, 4) w x y z."""
-    told: F64 | None
+    commanded: F64 | None
     """(K, 3) the velocity command; None where it is not logged."""
     sent: Bool
     """(K,) whether the command changed in this row."""
@@ -119,7 +119,7 @@ def read_steps(case: Case, camera: Camera | None = None) -> Steps:
         runs.append(
             Run(
                 run.name, run.time, run.command, _newest(s["joint_pos"][:, joints]), _newest(s["joint_vel"][:, joints]),
-                _newest(s["imu_gyro"]), quat, _told(case, run.name, len(run.time)), moved,
+                _newest(s["imu_gyro"]), quat, _commanded(case, run.name, len(run.time)), moved,
                 None if torque is None or not np.isfinite(torque).any() else _newest(torque), lin_vel, frames,
             )
         )  # fmt: skip
@@ -184,7 +184,7 @@ def _units(quat: F64) -> F64:
     return quat / np.maximum(np.linalg.norm(quat, axis=1, keepdims=True), 1e-9)
 
 
-def _told(case: Case, name: str, count: int) -> F64 | None:
+def _commanded(case: Case, name: str, count: int) -> F64 | None:
     path = case.folder / "runs" / f"{name}.npz"
     if path.is_file():
         found = read_npz(path).get("policy_command")

@@ -59,8 +59,8 @@ def two_gains(rig: Rig, size: float) -> Experiment | None:
             return None
         name = f"two_gains_{i + 1}"
         runs.append(rig.planned(name, sines(rig, 3), size, Setup(gains=tuple(gains))))
-        told = ", ".join(f"{n} {which} {value:.4g}" for n, which, value in gains)
-        say.append(f"{name}: set the gains {told} (the model's units); multiply the firmware's own in proportion.")
+        listed = ", ".join(f"{n} {which} {value:.4g}" for n, which, value in gains)
+        say.append(f"{name}: set the gains {listed} (the model's units); multiply the firmware's own in proportion.")
     return Experiment("two_gains", "the same motion with two sets of servo gains", size, tuple(runs), tuple(say))
 
 

@@ -151,8 +151,8 @@ def logged_between(steps: Steps, times: int) -> Steps:
 
     readings = {name: between(getattr(run, name)) for name in ("pos", "vel", "gyro", "quat")}
     run = replace(
-        run, time=np.interp(fine, rows, run.time), command=run.command[held], told=run.told[held], sent=fine == held,
-        **readings,
+        run, time=np.interp(fine, rows, run.time), command=run.command[held], sent=fine == held,
+        commanded=run.commanded[held], **readings,
     )  # fmt: skip
     return Steps(steps.joints, (run,), steps.period / times, steps.period)
 
@@ -215,7 +215,7 @@ def test_gains_are_those_of_the_measured_torque_also_where_most_joints_are_too_q
 
 def test_a_command_that_is_not_logged_is_estimated() -> None:
     contract = make_contract()
-    found = check(contract, loop(contract).each(lambda run: replace(run, told=None)))
+    found = check(contract, loop(contract).each(lambda run: replace(run, commanded=None)))
     assert found.verdict == "kept"
     assert any("velocity command is not logged" in note for note in found.notes)
 
