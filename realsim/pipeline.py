@@ -11,9 +11,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from importlib import import_module
 from pathlib import Path
-from threading import Thread
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
@@ -105,7 +103,6 @@ def reconstruct(source: Path, out: Path, config: ReconstructConfig | None = None
     with output_folder(out, overwrite=config.overwrite, source=source) as folder:
         data = run.stage("capture", lambda: capture.read(source, config.capture))
         with whole("reconstruct", usual_seconds(data, config)) as run.remaining:
-            Thread(target=import_ahead).start()
             points, aligned = run.scan(data) if isinstance(data, Scan) else run.frames(data)
             mesh = run.mesh(aligned)
             rivals = run.stage("compare", lambda: run.modes(data, points, aligned, mesh)) if config.compare else ()
@@ -248,17 +245,6 @@ class _Run:
         self.stages.append(StageTime(name, seconds, peak_memory_mb(), reused))
         note(f"{name}: {seconds:.1f} s{' (kept from an earlier run)' if reused else ''}")
         return value
-
-
-SLOW = ("realsim.core.open3d", "scipy.ndimage", "scipy.sparse.linalg", "trimesh", "networkx")
-"""Modules that take long to import. Not pymeshlab and mujoco: imported here, the process ended with a broken heap."""
-
-
-def import_ahead() -> None:
-    """Import what later stages need, more than a second of one core, while views are read."""
-    for module in SLOW:
-        with suppress(Exception):  # the stage that needs it says so
-            import_module(module)
 
 
 def release_memory() -> None:
