@@ -12,8 +12,11 @@ from .truth import Truth
 PUSHED = {"run_02": 1.9, "run_03": 1.2, "run_05": 2.3, "run_06": 2.3}
 SPAN = (3.0, 3.3)
 """Seconds of a run: the last push ends at 2.8."""
-WINDOWS = tuple((at, at + 0.5) if (at := PUSHED.get(f"run_{i:02d}")) else None for i in range(1, 7))
 RIVALS = ("external_force", "coulomb_friction", "payload", "command_delay")
+
+
+def windows(pushed: dict[str, float]) -> tuple[tuple[float, float] | None, ...]:
+    return tuple((at, at + 0.5) if (at := pushed.get(f"run_{i:02d}")) else None for i in range(1, 7))
 
 
 def onsets_of(folder) -> dict[str, float]:
@@ -25,7 +28,7 @@ def onsets_of(folder) -> dict[str, float]:
 
 @pytest.fixture(scope="module")
 def bumped(made):
-    return made(Truth(force={"fore": (14.0, 0.0, 6.0)}, force_windows=WINDOWS), runs=6, span=SPAN)
+    return made(Truth(force={"fore": (14.0, 0.0, 6.0)}, force_windows=windows(PUSHED)), runs=6, span=SPAN)
 
 
 def test_onsets_are_read_off_the_log(bumped) -> None:
@@ -44,13 +47,14 @@ def test_onsets_are_read_off_the_log(bumped) -> None:
 )
 def test_other_gaps_have_none(made, truth: Truth) -> None:
     """A lasting cause is there from the first motion on; a force at a fixed time has that time."""
-    assert onsets_of(made(truth, runs=6, span=SPAN)) == {}
+    assert onsets_of(made(truth, runs=4, span=SPAN)) == {}
 
 
 @pytest.mark.slow
 def test_a_push_beside_a_lasting_cause_is_found_once_that_is_known(made) -> None:
-    truth = Truth(force={"fore": (18.0, 0.0, 8.0)}, force_windows=WINDOWS, coulomb={"shoulder": 3.0})
-    folder = made(truth, runs=6, span=SPAN)
+    pushed = windows({"run_02": 1.9, "run_03": 1.2, "run_04": 2.3})
+    truth = Truth(force={"fore": (18.0, 0.0, 8.0)}, force_windows=pushed, coulomb={"shoulder": 3.0})
+    folder = made(truth, runs=4, span=SPAN)
     assert onsets_of(folder) == {}
     both = ("coulomb_friction", "external_force")
     found = diagnose(load_case(folder), DiagnoseConfig(effects=both, bootstrap=50, max_causes=2))
