@@ -19,7 +19,7 @@ from realsim.gap.simulation.simulate import Simulator
 from tests.truths.drone import DRONE
 from tests.truths.written import write_case
 
-from .searching import flights
+from .searching import flights, simulator_of
 from .truth import Truth
 
 CONFIG = DiagnoseConfig(threads=1, bootstrap=50)
@@ -102,20 +102,20 @@ def test_what_falls_in_one_run_begins_in_the_log_in_all(tmp_path: Path) -> None:
 @given(scale=st.lists(st.floats(-5, 5), min_size=4, max_size=4))
 def test_states_of_parts_explain_what_is_a_sum_of_their_slopes(arm: Case, scale: list[float]) -> None:
     """A law: residual and change do not depend on the states that parts begin in, to first order."""
-    with Simulator(arm, CONFIG) as simulator:
-        nominal = simulator.simulate()
-        comparison = Comparison(arm, simulator.channels, nominal, CONFIG)
-        rng = np.random.default_rng(0)
-        slopes = rng.normal(size=(*nominal[0].shape, 2))
-        parts = (np.arange(len(comparison.times[0])) > 20).astype(int)
-        comparison.free_starts(0, slopes, parts)
-        part = (np.floor(arm.runs[0].time / CONFIG.bin_seconds) > 20).astype(int)
-        moved = nominal[0] + np.einsum("tck,tk->tc", slopes, np.array(scale).reshape(2, 2)[part])
-        size = 1e-6 * (1 + np.abs(scale).max())
-        np.testing.assert_allclose(comparison.change(0, moved, nominal[0]), 0, atol=size)
-        np.testing.assert_allclose(
-            comparison.residual(0, moved), comparison.residual(0, nominal[0]), atol=size, equal_nan=True
-        )
+    simulator = simulator_of(arm)
+    nominal = simulator.simulate()
+    comparison = Comparison(arm, simulator.channels, nominal, CONFIG)
+    rng = np.random.default_rng(0)
+    slopes = rng.normal(size=(*nominal[0].shape, 2))
+    parts = (np.arange(len(comparison.times[0])) > 20).astype(int)
+    comparison.free_starts(0, slopes, parts)
+    part = (np.floor(arm.runs[0].time / CONFIG.bin_seconds) > 20).astype(int)
+    moved = nominal[0] + np.einsum("tck,tk->tc", slopes, np.array(scale).reshape(2, 2)[part])
+    size = 1e-6 * (1 + np.abs(scale).max())
+    np.testing.assert_allclose(comparison.change(0, moved, nominal[0]), 0, atol=size)
+    np.testing.assert_allclose(
+        comparison.residual(0, moved), comparison.residual(0, nominal[0]), atol=size, equal_nan=True
+    )
 
 
 @pytest.mark.slow
@@ -128,7 +128,7 @@ def test_states_of_parts_explain_what_is_a_sum_of_their_slopes(arm: Case, scale:
 )
 def test_a_drone_is_diagnosed(tmp_path: Path, truth: dict[str, float], effect: str, name: str) -> None:
     """Open loop, the second tumbles within 0.2 s."""
-    found = diagnose(flights(tmp_path / "case", runs=3, seconds=2.0, **truth), EFFECTS)
+    found = diagnose(flights(tmp_path / "case", runs=2, seconds=1.5, **truth), EFFECTS)
     assert found.verdict == "identified"
     (cause,) = found.causes
     assert cause["effect"] == effect
@@ -148,7 +148,7 @@ def test_a_weak_rotor_is_told_from_the_others(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_drone_as_modelled_has_no_gap(tmp_path: Path) -> None:
-    assert diagnose(flights(tmp_path / "case", runs=3, seconds=2.0), EFFECTS).verdict == "no_gap"
+    assert diagnose(flights(tmp_path / "case", runs=2, seconds=1.5), EFFECTS).verdict == "no_gap"
 
 
 def test_gusts_that_a_controller_answers_are_no_cause(tmp_path: Path) -> None:

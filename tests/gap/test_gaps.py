@@ -68,7 +68,7 @@ def test_gaps_are_steps_far_above_the_usual_one(stamps: Any, usual: float, gaps:
 
 @pytest.mark.slow
 def test_a_cause_is_found_beside_gaps(good: Case) -> None:
-    case = good.with_runs(tuple(with_gaps(r) for r in good.runs))
+    case = good.with_runs(tuple(with_gaps(r) for r in good.runs[:2]))
     library = ("motor_gain", "coulomb_friction", "viscous_friction", "payload", "command_delay")
     found = diagnose(case, DiagnoseConfig(threads=1, effects=library, report=False))
     assert found.verdict == "identified"
