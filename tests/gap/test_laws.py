@@ -180,6 +180,7 @@ def test_a_patch_makes_the_model_that_was_diagnosed(made, tmp_path) -> None:
 
 def test_the_same_log_gives_the_same_diagnosis(made) -> None:
     case = load_case(made(Truth(coulomb={"elbow": 0.4})))
+    case = case.with_runs(case.runs[:2])
     config = DiagnoseConfig(effects=("coulomb_friction",), bootstrap=50)
     first, second = (diagnose(case, config).as_dict() for _ in range(2))
     for found in (first, second):
