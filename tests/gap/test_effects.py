@@ -5,7 +5,6 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -143,49 +142,22 @@ def test_camera_effects_say_why_they_are_not_tried(simulator: Simulator) -> None
         assert "camera" in excitation.reason
 
 
-def install(folder: Path, source: str) -> None:
-    """A package with an effect, as pip would leave it."""
+def install(folder: Path, **sources: str) -> None:
+    """A package with effects, as pip would leave it."""
     (folder / "my_robot").mkdir()
-    (folder / "my_robot" / "spring.py").write_text(source)
     (folder / "my_robot-1.0.dist-info").mkdir()
     (folder / "my_robot-1.0.dist-info" / "METADATA").write_text("Metadata-Version: 2.1\nName: my-robot\nVersion: 1.0\n")
-    points = "[realsim.effects]\nreturn_spring = my_robot.spring:EFFECT\n"
+    points = "[realsim.effects]\n" + "".join(f"{name} = my_robot.{name}:EFFECT\n" for name in sources)
     (folder / "my_robot-1.0.dist-info" / "entry_points.txt").write_text(points)
-
-
-def realsim_with(packages: Path, *commands: Sequence[object]) -> subprocess.CompletedProcess[str]:
-    """Commands one after the other, each followed by its exit code, in a process that has packages of a folder."""
-    code = "import json, sys\nfrom realsim.cli.command_line import main\nfor command in json.loads(sys.argv[1]): "
-    code += "print('exit code', main(command), flush=True)"
-    paths = os.pathsep.join(filter(None, (str(packages), os.environ.get("PYTHONPATH"))))
-    arguments = [sys.executable, "-c", code, json.dumps([list(map(str, command)) for command in commands])]
-    return subprocess.run(arguments, env=os.environ | {"PYTHONPATH": paths}, capture_output=True, text=True)
-
-
-def test_an_effect_of_an_installed_package_is_found_where_it_was_injected(tmp_path: Path) -> None:
-    """The one of docs/extending.md: a spring at the elbow, of which the model knows nothing."""
-    page = (Path(realsim.__file__).parents[1] / "docs" / "extending.md").read_text(encoding="utf-8")
-    (source,) = (block for block in page.split("```python\n")[1:] if "return_spring" in block)
-    install(tmp_path, source.partition("```")[0])
-    spring = ARM.replace('name="elbow"', 'name="elbow" stiffness="6"')
-    folder = make_case(tmp_path / "case", spring, Truth(), runs=3, seed=3, span=(2.6, 3.2))
-    (folder / "model.xml").write_text(ARM)
-    options = ["--out", tmp_path / "out", "--effects", "return_spring", *RIVALS, "--bootstrap", "50"]
-    run = realsim_with(tmp_path, ["diagnose", folder, *options])
-    assert run.stdout.endswith("exit code 0\n"), run.stderr
-    found = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
-    assert found["verdict"] == "identified"
-    (cause,) = found["causes"]
-    assert (cause["effect"], cause["joints"]) == ("return_spring", ["elbow"])
-    assert cause["parameters"]["stiffness"]["value"] == pytest.approx(6, rel=0.1)
-    assert found["sentence"].startswith("Your model lacks return spring of ")
+    for name, source in sources.items():
+        (folder / "my_robot" / f"{name}.py").write_text(source)
 
 
 BROKEN = """
 from realsim.gap.effects.base import JOINTS, Effect, Parameter, fixed
 
 EFFECT = Effect(
-    name="return_spring",
+    name="broken_spring",
     where=JOINTS,
     parameters=fixed(Parameter("stiffness", "N m/rad", (0.0, 50.0), 1.0)),
     apply=lambda edit, place, values: {}["nothing"],
@@ -193,30 +165,50 @@ EFFECT = Effect(
 """
 
 
-def test_an_installed_effect_that_fails_is_named_with_its_package(tmp_path: Path) -> None:
-    """Neither a traceback nor a candidate that is left out without a word."""
-    install(tmp_path, BROKEN)
-    folder = make_case(tmp_path / "case", ARM, Truth(), runs=2, seed=3, span=(2.6, 3.2))
-    tried = ["diagnose", folder, "--out", tmp_path / "out", "--effects", "return_spring", *RIVALS]
-    run = realsim_with(tmp_path, tried, ["diagnose", "--explain", "return_spring"])
-    _, explained, _ = run.stdout.split("exit code ")
-    assert explained.startswith("2\n")
-    assert run.stdout.endswith("exit code 0\n")
-    for text in ("`apply` of the effect 'return_spring'", "KeyError: 'nothing'", "my_robot.spring:EFFECT"):
+def test_effects_of_an_installed_package(tmp_path: Path) -> None:
+    """The one of docs/extending.md, a spring at the elbow of which the model knows nothing, is found where it was
+    injected. One that fails is named with its package: neither a traceback nor a candidate left out without a word."""
+    page = (Path(realsim.__file__).parents[1] / "docs" / "extending.md").read_text(encoding="utf-8")
+    (source,) = (block for block in page.split("```python\n")[1:] if "return_spring" in block)
+    install(tmp_path, return_spring=source.partition("```")[0], broken_spring=BROKEN)
+    spring = ARM.replace('name="elbow"', 'name="elbow" stiffness="6"')
+    folder = make_case(tmp_path / "case", spring, Truth(), runs=3, seed=3, span=(2.6, 3.2))
+    (folder / "model.xml").write_text(ARM)
+    commands = [
+        ["diagnose", folder, "--out", tmp_path / name, "--effects", name, *RIVALS, "--bootstrap", "50"]
+        for name in ("broken_spring", "return_spring")
+    ]
+    commands.append(["diagnose", "--explain", "broken_spring"])
+    code = "import json, sys\nfrom realsim.cli.command_line import main\nfor command in json.loads(sys.argv[1]): "
+    code += "print('exit code', main(command), flush=True)"
+    paths = os.pathsep.join(filter(None, (str(tmp_path), os.environ.get("PYTHONPATH"))))
+    arguments = [sys.executable, "-c", code, json.dumps([list(map(str, command)) for command in commands])]
+    run = subprocess.run(arguments, env=os.environ | {"PYTHONPATH": paths}, capture_output=True, text=True)
+    _, failed, found, explained = run.stdout.split("exit code ")
+    assert failed.startswith("2\n"), run.stderr
+    assert found.startswith("0\n"), run.stderr
+    assert explained == "0\n"
+    for text in ("`apply` of the effect 'broken_spring'", "KeyError: 'nothing'", "my_robot.broken_spring:EFFECT"):
         assert text in " ".join(run.stderr.split())
-    assert not (tmp_path / "out").exists()
-    assert "\n\n\n" not in explained
-    assert "looks like" not in explained  # it has no words for that
+    assert not (tmp_path / "broken_spring").exists()
+    assert "looks like" not in found  # it has no words for that
+    assert "\n\n\n" not in found
+    said = json.loads((tmp_path / "return_spring" / "diagnosis.json").read_text())
+    assert said["verdict"] == "identified"
+    (cause,) = said["causes"]
+    assert (cause["effect"], cause["joints"]) == ("return_spring", ["elbow"])
+    assert cause["parameters"]["stiffness"]["value"] == pytest.approx(6, rel=0.1)
+    assert said["sentence"].startswith("Your model lacks return spring of ")
 
 
 @pytest.mark.parametrize("source", ["EFFECT = 3", "", "import nothing_of_that_name"])
 def test_an_installed_package_without_an_effect_is_refused(
     source: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    install(tmp_path, source)
+    install(tmp_path, return_spring=source)
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.delitem(sys.modules, "my_robot", raising=False)
-    monkeypatch.delitem(sys.modules, "my_robot.spring", raising=False)
+    monkeypatch.delitem(sys.modules, "my_robot.return_spring", raising=False)
     effects = Effects("effect", {}, group="realsim.effects")
     assert list(effects) == ["return_spring"]
     with pytest.raises(RealsimError, match="return_spring"):
