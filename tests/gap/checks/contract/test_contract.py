@@ -115,7 +115,6 @@ DEFAULT = np.tile([0.1, 0.8, -1.5], 2)
         ({"clipped_target"}, {"send": lambda t: np.clip(t, DEFAULT - 0.03, DEFAULT + 0.03)}),
         ({"gravity_frame", "sensor_delay"}, {"gravity": -1.0, "late": 2}),
         ({"action_scale", "observation_scale"}, {"gain": 0.8, "see_vel": lambda v: 0.05 * v}),
-        ({"gravity_frame", "joint_sign"}, {"gravity": -1.0, "see": lambda q: SIGN * q, "see_vel": lambda v: SIGN * v}),
     ],
     ids=lambda v: "+".join(sorted(v)) if isinstance(v, set) else "",
 )
@@ -161,7 +160,6 @@ def logged_between(steps: Steps, times: int) -> Steps:
     ("kind", "mistake"),
     [
         ("observation_scale", {"see_vel": lambda v: 0.05 * v}),
-        ("joint_order", {"see_vel": lambda v: v[[0, 3, 1, 4, 2, 5]]}),
         ("gravity_frame", {"gravity": -1.0}),
     ],
 )
