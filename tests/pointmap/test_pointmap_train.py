@@ -88,6 +88,7 @@ class Absent:
         if name.split(".")[0] in ("scipy", "mujoco", "open3d", "cv2", "tyro", "rich", "yaml", "trimesh"):
             raise ImportError(name)
 sys.meta_path.insert(0, Absent())
+import torch._dynamo  # an optimiser's first step would
 from training.pointmap import evaluate, train
 o = train.parse(sys.argv[1:])
 other = os.fork()

@@ -77,9 +77,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with socket.socket() as s:
         s.bind(("127.0.0.1", 0))
         port = s.getsockname()[1]
-    torch.multiprocessing.get_context("forkserver").set_forkserver_preload(
-        [__name__]
-    )  # torch is imported once for both
+    # Imported once for both; the latter by an optimiser's first step.
+    torch.multiprocessing.get_context("forkserver").set_forkserver_preload([__name__, "torch._dynamo"])
     start = torch.multiprocessing.start_processes
     start(rank_main, (port, str(folder)), nprocs=2, start_method="forkserver")
     return folder
