@@ -4,6 +4,7 @@ import numpy as np
 
 from realsim.align.cloud import Cloud
 from realsim.align.segment import Label, Labels
+from realsim.core.meshes import groups
 from realsim.core.types import F64, Platform
 
 REACH = 0.35
@@ -38,9 +39,8 @@ def crop(
         count = np.zeros(cells.max(0) + 1, int)
         np.add.at(count, tuple(cells.T), 1)
         ids = label(count >= round(SOLID * (cell / cloud.voxel) ** 2), np.ones((3, 3)))[0][tuple(cells.T)]
-        order = np.argsort(ids, kind="stable")
-        parts = np.split(order, np.flatnonzero(np.diff(ids[order])) + 1)
-        clusters = [xy[standing][part] for part in parts if ids[part[0]] > 0 and len(part) * cloud.voxel**2 >= LEAST]
+        parts = [part for part in groups(ids) if ids[part[0]] > 0 and len(part) * cloud.voxel**2 >= LEAST]
+        clusters = [xy[standing][part] for part in parts]
     chosen = [p for p in platforms if p.role in ("start", "goal") or p.inferred]
     if chosen:
         outline = np.concatenate([p.outline for p in chosen])

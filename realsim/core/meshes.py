@@ -10,11 +10,31 @@ from numpy.typing import ArrayLike, NDArray
 
 from realsim.core.geometry import cross
 
+AT_ONCE = 500_000
+"""Triangles that are looked at at a time, for memory; the result does not depend on it."""
+
 
 def across(vertices: NDArray[Any], triangles: NDArray[Any]) -> NDArray[np.float64]:
     """(K, 3) cross products of two sides of each triangle: along its normal, as long as twice its area."""
-    a, b, c = (vertices[triangles[:, k]] for k in range(3))
-    return np.asarray(cross(b - a, c - a), np.float64)
+    out = np.empty((len(triangles), 3))
+    for k in range(0, len(triangles), AT_ONCE):
+        a, b, c = (vertices[corner] for corner in triangles[k : k + AT_ONCE].T)
+        out[k : k + AT_ONCE] = cross(b - a, c - a)
+    return out
+
+
+def sound(vertices: NDArray[Any], triangles: NDArray[Any]) -> NDArray[np.bool_]:
+    """(K,) triangles whose corners are vertices, and finite."""
+    there = np.asarray(((triangles >= 0) & (triangles < len(vertices))).all(1), bool)
+    there[there] &= np.isfinite(vertices).all(1)[triangles[there]].all(1)
+    return there
+
+
+def used(vertices: NDArray[Any], triangles: NDArray[Any]) -> NDArray[Any]:
+    """(U, 3) those of the vertices (V, 3) that triangles name, in their order; names of none do not count."""
+    named = np.zeros(len(vertices), bool)
+    named[triangles[(triangles >= 0) & (triangles < len(vertices))]] = True
+    return vertices[named]
 
 
 def areas(vertices: NDArray[Any], triangles: NDArray[Any]) -> NDArray[np.float64]:
@@ -83,12 +103,12 @@ def height_field(model: Any, field: int, apart: int = 1) -> tuple[NDArray[np.flo
     return np.column_stack([x.ravel(), y.ravel(), z[np.ix_(row, column)].ravel()]), faces.astype(np.int32)
 
 
-def faces_by_place(vertices: NDArray[Any], triangles: NDArray[Any]) -> NDArray[np.int64]:
+def faces_by_place(vertices: NDArray[Any], triangles: NDArray[Any]) -> NDArray[np.int32]:
     """(K, 3) triangles over vertices of which there is one a place (0.1 micrometres): files that list the corners of
     every triangle (STL) have one a corner."""
     places = np.round(vertices, 7)
     order = np.lexsort(places.T[::-1])  # many times faster than `np.unique` over rows
-    merged = np.zeros(len(places), np.int64)
+    merged = np.zeros(len(places), np.int32)
     merged[order[1:]] = np.cumsum((np.diff(places[order], axis=0) != 0).any(1))
     return merged[triangles]
 
@@ -104,7 +124,7 @@ def linked(one: ArrayLike, other: ArrayLike, count: int) -> NDArray[np.int64]:
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
-    ends = np.asarray(one, np.int64), np.asarray(other, np.int64)
+    ends = np.asarray(one, np.int32), np.asarray(other, np.int32)
     graph = coo_matrix((np.ones(len(ends[0]), bool), ends), (count, count))
     return np.asarray(connected_components(graph, directed=False)[1], np.int64)
 
@@ -117,10 +137,15 @@ def near_pieces(points: NDArray[np.float64], reach: float) -> NDArray[np.int64]:
     return linked(pairs[:, 0], pairs[:, 1], len(points))
 
 
+def groups(label: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    """Indices at which each number stands, in the order of the numbers."""
+    order = np.argsort(label, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(label[order])) + 1) if len(label) else []
+
+
 def members(label: NDArray[np.int64]) -> list[NDArray[np.int64]]:
     """Nodes of each component, the largest first; of equally large ones the one with the lowest node."""
-    parts = [np.flatnonzero(label == k) for k in range(int(label.max(initial=-1)) + 1)]
-    return sorted(parts, key=lambda p: (-len(p), p[0]))
+    return sorted(groups(label), key=lambda p: (-len(p), p[0]))
 
 
 CACHED = 2048
@@ -145,7 +170,7 @@ def sum_by_key(keys: NDArray[np.int64], rows: NDArray[np.float64]) -> tuple[NDAr
 class Edges:
     """Sides of triangles, by the edge that they lie on."""
 
-    runs: NDArray[np.int64]
+    runs: NDArray[Any]
     """(3K, 2) from and to of every side; side s belongs to triangle s // 3."""
     order: NDArray[np.int64]
     """(3K,) sides in order of their edge."""
@@ -163,10 +188,12 @@ class Edges:
 def edges_of(triangles: NDArray[Any]) -> Edges:
     """The edges of triangles (K, 3), in the order of their lower and then their higher vertex; side s leads from the
     corner s % 3 of its triangle to the next."""
-    runs = triangles.astype(np.int64)[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    key = runs.min(1) * (int(runs.max(initial=0)) + 1) + runs.max(1)
+    runs = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    one, other = runs.T
+    key = np.minimum(one, other).astype(np.int64) * (int(runs.max(initial=0)) + 1) + np.maximum(one, other)
     order = np.argsort(key, kind="stable")
-    first = np.flatnonzero(np.diff(key[order], prepend=-1))
+    key = key[order]
+    first = np.flatnonzero(np.r_[True, key[1:] != key[:-1]])
     return Edges(runs, order, first, np.diff(np.r_[first, len(order)]))
 
 

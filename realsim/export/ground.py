@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from realsim.core.meshes import across, sampled
+from realsim.core.meshes import across, sampled, used
 from realsim.core.types import F64, TerrainMesh
 
 LEVEL = 0.01  # metres: one level
@@ -42,7 +42,8 @@ def ground_level(mesh: TerrainMesh) -> GroundLevel:
     ground, and a plane there would swallow whatever is below. Only a slab is a floor all the same: wide for its
     thickness, all around the mesh, with something on it.
     """
-    lowest = float(mesh.vertices[mesh.triangles][..., 2].min())
+    named = used(mesh.vertices, mesh.triangles)
+    lowest = float(named[:, 2].min())
     level, area, share = _lowest_level(mesh)
     if level - lowest < LEVEL:
         level = level if share > AROUND else lowest
@@ -52,7 +53,7 @@ def ground_level(mesh: TerrainMesh) -> GroundLevel:
     if at.sum() > below.sum() and at.mean() > AROUND and not _on_legs(mesh, level, area):
         return GroundLevel(level, False, f"at z = {level:.3f} m, the floor of the mesh")
     sides = float(np.clip(level - bottom, 0, None).sum()) * cell
-    carries = float(mesh.vertices[mesh.triangles][..., 2].max()) > level + LEVEL
+    carries = float(named[:, 2].max()) > level + LEVEL
     around = carries and bool(np.mean(np.abs(top - level) <= LEVEL) > 0.9)
     if around and sides <= SLAB * area:
         thick = 100 * float(np.median(level - bottom))
@@ -104,17 +105,17 @@ def hidden_cm2(mesh: TerrainMesh, scene_xml: Path, ground: GroundLevel, noise: f
 def _lowest_level(mesh: TerrainMesh) -> tuple[float, float, float]:
     """(z, area in m^2, share of all that is level and faces up) of the lowest level that holds SHARE of that; the
     mesh's lowest point if nothing does."""
-    corners, normal = mesh.vertices[mesh.triangles], across(mesh.vertices, mesh.triangles)
+    height, normal = mesh.vertices[:, 2][mesh.triangles], across(mesh.vertices, mesh.triangles)
     area = np.linalg.norm(normal, axis=1) / 2
     level = normal[:, 2] > np.cos(np.radians(5)) * 2 * area
     if not level.any():
-        return float(corners[..., 2].min()), 0.0, 0.0
-    z = corners[level].mean(1)[:, 2]
+        return float(height.min()), 0.0, 0.0
+    z = height[level].mean(1)
     bins = np.floor((z - z.min()) / LEVEL).astype(int)
     sums = np.bincount(bins, area[level])
     wide = np.flatnonzero(sums > SHARE * sums.sum())
     if not len(wide):  # a slope or rolling ground has some of every height
-        return float(corners[..., 2].min()), 0.0, 0.0
+        return float(height.min()), 0.0, 0.0
     first = int(wide[0])
     near = bins == first
     return float(np.average(z[near], weights=area[level][near])), float(sums[first]), float(sums[first] / sums.sum())
@@ -144,7 +145,7 @@ def _rim(mesh: TerrainMesh) -> tuple[F64, F64, float]:
     from scipy import ndimage
 
     points, _ = sampled(mesh.vertices, mesh.triangles, SAMPLES, np.random.default_rng(0))
-    points = np.concatenate([points, mesh.vertices[mesh.triangles.ravel()]])
+    points = np.concatenate([points, used(mesh.vertices, mesh.triangles)])
     lower, upper = points.min(0)[:2], points.max(0)[:2]
     cell = max(CELL, float((upper - lower).max()) / CELLS)
     place = np.floor((points[:, :2] - lower) / cell).astype(int) + 1

@@ -1,6 +1,7 @@
 """Any mesh made fit for collision: read, checked and repaired, with a list of the repairs."""
 
-from dataclasses import dataclass
+import gc
+from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from realsim.core.errors import ExportError
 from realsim.core.files import read_bytes
 from realsim.core.meshes import (
+    AT_ONCE,
     across,
     areas,
     compact,
@@ -21,6 +23,8 @@ from realsim.core.meshes import (
     loose_vertices,
     lost_precision,
     origin_note,
+    sound,
+    used,
 )
 from realsim.core.meshfile import check_packing, plain_stl
 from realsim.core.objfile import parse_obj
@@ -108,7 +112,8 @@ def read_mesh(path: Path, unit: str | None = None, up: str = "auto") -> MeshFile
             "the coordinates have lost their precision", file=path, expected=expected, found=lost, hint=hint
         )
     try:
-        named = _used(vertices, triangles)
+        named = used(vertices, triangles)
+        named = named if len(named) else vertices
         origin = local_origin(named * scale)
         _check_unit(named, unit, surveyed=bool(origin.any()))
         vertices = vertices * scale
@@ -172,20 +177,16 @@ def _read(path: Path) -> tuple[F64, NDArray[np.int64], list[str]]:
         loaded: Any = trimesh.load(
             BytesIO(data), file_type=suffix[1:], force="mesh", process=False, skip_materials=True
         )
-        vertices, triangles = np.asarray(loaded.vertices, float), np.asarray(loaded.faces, np.int64)
+        vertices, triangles = np.array(loaded.vertices, float), np.array(loaded.faces, np.int64)
+        del loaded
+        if len(triangles) > AT_ONCE:  # what was read of the file is part of a cycle: half a gigabyte
+            gc.collect()
     except Exception as error:  # readers of broken files raise whatever comes up
         found = f"a file that is cut off or damaged ({type(error).__name__}: {error})"
         raise ExportError("the mesh cannot be read", file=path, found=found, hint=AGAIN) from error
     if suffix == ".stl" and not len(triangles):
         raise ExportError("the mesh cannot be read", file=path, found="no triangle: cut off, or no STL", hint=AGAIN)
     return vertices, triangles, [*notes]
-
-
-def _used(vertices: F64, triangles: NDArray[Any]) -> F64:
-    """Those of the vertices (V, 3) that a triangle names, where it names any."""
-    named = np.unique(triangles)
-    named = named[(named >= 0) & (named < len(vertices))]
-    return vertices[named] if len(named) else vertices
 
 
 def mend(vertices: F64, triangles: NDArray[Any]) -> Mended:
@@ -206,21 +207,25 @@ def mend(vertices: F64, triangles: NDArray[Any]) -> Mended:
     faces, turned = turn_stray(vertices, faces)
     if turned:
         notes.append(f"{turned} triangles that faced the other way than their neighbours were flipped")
-    quality = _quality(vertices, faces, flat)
+    quality, open_ = _quality(vertices, faces, flat)
 
     def made(vertices: F64, faces: NDArray[np.int32]) -> TerrainMesh:
         return TerrainMesh(vertices, faces, None, np.zeros(len(faces), bool), quality, "file", 0.0)
 
     terrain = made(vertices, faces)
     check_extent(terrain)
-    if _from_above(terrain)[0]:
+    inside_out, crossing = _from_above(terrain)
+    if inside_out:
         faces = np.ascontiguousarray(faces[:, ::-1])
         notes.append("the mesh was inside out and has been flipped")
     faces, slivers = _without_slivers(vertices, faces)
     if slivers:
         vertices, faces = compact(vertices, faces)
+        quality, open_ = _quality(vertices, faces, flat)
         notes.append(f"{slivers} upright slivers, with which a triangulation of points closes its rim, were removed")
     faces, turned = turn_closed(vertices, faces)
+    if inside_out or slivers or turned:
+        crossing = _from_above(made(vertices, faces))[1]
     if turned:
         notes.append(f"{turned} closed pieces were inside out and have been flipped")
     solids, others = convex_solids(vertices, faces)
@@ -229,17 +234,16 @@ def mend(vertices: F64, triangles: NDArray[Any]) -> Mended:
         left, left_faces = compact(vertices, faces[others])
         rest = made(left, left_faces)
     terrain = made(vertices, faces)
-    if _from_above(terrain)[1]:
+    if crossing:
         vertices, faces, count = united(vertices, faces)
         vertices, faces = compact(vertices, faces)
-        quality = _quality(vertices, faces, flat)
+        quality, open_ = _quality(vertices, faces, flat)
         terrain = made(vertices, faces)
-        joined = f": {count} closed pieces were made one" if count else ""
-        crossing = "solids of the mesh overlap or its surface crosses itself"
-        notes.append(f"{crossing}{joined or ': whatever lies in any of them is solid'}")
+        joined = f"{count} closed pieces were made one" if count else "whatever lies in any of them is solid"
+        notes.append(f"solids of the mesh overlap or its surface crosses itself: {joined}")
     if not quality.manifold:
         notes.append("the mesh is not manifold: solids are taken from columns of rays, which need no manifold")
-    if _open(vertices, faces):
+    if open_:
         notes.append("the mesh is open: a surface without an underside is taken to be solid down to the ground")
     return Mended(terrain, tuple(notes), solids, rest if solids else terrain)
 
@@ -250,14 +254,13 @@ def _usable(vertices: F64, triangles: NDArray[Any], notes: list[str]) -> tuple[F
         raise ExportError(
             "the mesh has no triangles", hint="mesh a point cloud first: realsim reconstruct CLOUD --out scene"
         )
-    sound: NDArray[np.bool_] = np.asarray(((triangles >= 0) & (triangles < len(vertices))).all(1))
-    sound[sound] &= np.isfinite(vertices[triangles[sound]]).all((1, 2))
-    if not sound.all():
-        notes.append(f"{(~sound).sum()} triangles with missing or non-finite corners were removed")
-    triangles = triangles[sound]
+    whole = sound(vertices, triangles)
+    if not whole.all():
+        notes.append(f"{(~whole).sum()} triangles with missing or non-finite corners were removed")
+    triangles = triangles if whole.all() else triangles[whole]
     if not len(triangles):
         raise ExportError("the mesh has no usable triangles", found="missing or non-finite corners")
-    size = float(np.ptp(vertices[triangles].reshape(-1, 3), 0).max())
+    size = float(np.ptp(used(vertices, triangles), 0).max())
     flat = 2 * areas(vertices, triangles) < 1e-12 * max(size, 1e-12) ** 2
     if flat.any():
         notes.append(f"{flat.sum()} triangles without area were removed")
@@ -307,6 +310,13 @@ def _from_above(mesh: TerrainMesh) -> tuple[bool, bool]:
     lower, upper = mesh.vertices.min(0), mesh.vertices.max(0)
     steps = (np.arange(RAYS) + 0.5) / RAYS
     x, y = np.meshgrid(*(lower[k] + steps * (upper[k] - lower[k]) for k in (0, 1)))
+    if len(mesh.triangles) > AT_ONCE:  # few of so many are met, and a caster of all takes a gigabyte
+        met = np.ones(len(mesh.triangles), bool)
+        for k in (0, 1):
+            at = ((mesh.vertices[:, k] - lower[k]) * (RAYS / max(upper[k] - lower[k], 1e-9)) - 0.5)[mesh.triangles]
+            met &= np.ceil(at.min(1) - 1e-3) <= at.max(1) + 1e-3
+        vertices, triangles = compact(mesh.vertices, mesh.triangles[met])
+        mesh = replace(mesh, vertices=vertices, triangles=triangles, invented=mesh.invented[met])
     ray, z, up, _ = crossings(mesh, x.ravel(), y.ravel(), float(upper[2]) + 1)
     if not len(ray):
         raise ExportError("the mesh has no surface to stand on", found="no surface that is seen from above")
@@ -322,14 +332,10 @@ def _from_above(mesh: TerrainMesh) -> tuple[bool, bool]:
     return inside_out, bool(twice.sum() > 0.002 * first.sum())
 
 
-def _quality(vertices: F64, triangles: NDArray[np.int32], degenerate: int) -> MeshQuality:
-    """Counts of edges tell open and non-manifold; self-intersections are left uncounted (-1), rays do not mind them."""
+def _quality(vertices: F64, triangles: NDArray[np.int32], degenerate: int) -> tuple[MeshQuality, bool]:
+    """(quality, whether there is a rim). Counts of edges tell open and non-manifold; self-intersections are left
+    uncounted (-1), rays do not mind them. Where solids touch, edges belong to four triangles, and none is missing."""
     uses = edges_of(faces_by_place(vertices, triangles)).uses
-    return MeshQuality(
-        len(vertices), len(triangles), bool((uses == 2).all()), bool((uses <= 2).all()), -1, degenerate, 1, None
-    )
-
-
-def _open(vertices: F64, triangles: NDArray[np.int32]) -> bool:
-    """Whether there is a rim. Where solids touch, edges belong to four triangles, and none is missing."""
-    return bool((edges_of(faces_by_place(vertices, triangles)).uses % 2).any())
+    closed, manifold = bool((uses == 2).all()), bool((uses <= 2).all())
+    quality = MeshQuality(len(vertices), len(triangles), closed, manifold, -1, degenerate, 1, None)
+    return quality, bool((uses % 2).any())

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.core.meshes import connected, edges_of, faces_by_place, linked
+from realsim.core.meshes import connected, edges_of, faces_by_place, groups, linked
 from realsim.core.types import F64
 
 I32 = NDArray[np.int32]
@@ -27,6 +27,10 @@ def without_twins(vertices: F64, triangles: I32) -> tuple[I32, int]:
         vertices: (V, 3) metres; those at the same place count as one. triangles: (K, 3).
     """
     faces = faces_by_place(vertices, triangles)
+    corners = np.sort(faces, axis=1)
+    corners = corners[np.lexsort(corners.T)]
+    if not (corners[1:] == corners[:-1]).all(1).any():
+        return triangles, 0
     first = faces.argmin(1)
     turned = faces[np.arange(len(faces))[:, None], (first[:, None] + np.arange(3)) % 3]
     _, kept = np.unique(turned, axis=0, return_index=True)
@@ -57,18 +61,19 @@ def convex_solids(vertices: F64, triangles: I32) -> tuple[tuple[F64, ...], NDArr
     # Across edges of just two triangles, so that solids which touch in an edge are two.
     once = edges.first[edges.uses == 2]
     piece = linked(edges.order[once] // 3, edges.order[once + 1] // 3, len(triangles))
-    by_piece = np.argsort(piece, kind="stable")
+    rim = np.zeros(len(triangles), bool)
+    rim[piece[edges.order[edges.first[edges.uses % 2 > 0]] // 3]] = True
     others = np.ones(len(triangles), bool)
     solids = []
-    for members in np.split(by_piece, np.flatnonzero(np.diff(piece[by_piece])) + 1):
-        corners = _convex(vertices[triangles[members]], faces[members])
+    for members in groups(piece):
+        corners = None if rim[piece[members[0]]] else _convex(vertices[triangles[members]], faces[members])
         if corners is not None:
             others[members] = False
             solids.append(corners)
     return tuple(solids), others
 
 
-def _convex(corners: F64, faces: NDArray[np.int64]) -> F64 | None:
+def _convex(corners: F64, faces: I32) -> F64 | None:
     """Corners (M, 3) of the hull of triangles (N, 3, 3), where they are closed and its surface; else None."""
     from scipy.spatial import ConvexHull, QhullError
 

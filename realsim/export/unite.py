@@ -1,12 +1,11 @@
 """Solids of a mesh that overlap, made one: what lies inside another solid is no surface that anything can touch."""
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.core.meshes import connected, edges_of, faces_by_place
+from realsim.core.meshes import connected, edges_of, faces_by_place, groups
 from realsim.core.types import F64
 
 I32 = NDArray[np.int32]
@@ -29,7 +28,7 @@ def united(vertices: F64, triangles: I32) -> tuple[F64, I32, int]:
     # By place, solids that share an edge are one piece, and still overlap; by their own vertices, an STL has no piece.
     for faces in (triangles, merged):
         open_ = [rest[:0]]
-        for piece in _pieces(faces[rest]):
+        for piece in groups(connected(faces[rest])):
             solid = _solid(vertices, triangles[rest[piece]])
             (open_.append(rest[piece]) if solid is None else solids.append(solid))
         rest = np.sort(np.concatenate(open_))
@@ -40,15 +39,6 @@ def united(vertices: F64, triangles: I32) -> tuple[F64, I32, int]:
     joined = np.asarray(union.tri_verts).astype(np.int32) + len(vertices)
     corners = np.asarray(union.vert_properties, np.float64)[:, :3]
     return np.concatenate([vertices, corners]), np.concatenate([triangles[rest], joined]).astype(np.int32), len(solids)
-
-
-def _pieces(faces: NDArray[Any]) -> Iterator[NDArray[np.int64]]:
-    """Indices of the triangles (K, 3) of each connected piece."""
-    if not len(faces):
-        return
-    piece = connected(faces)
-    order = np.argsort(piece, kind="stable")
-    yield from np.split(order, np.flatnonzero(np.diff(piece[order])) + 1)
 
 
 def _solid(vertices: F64, triangles: I32) -> Any:

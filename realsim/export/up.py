@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.core.meshes import compact
+from realsim.core.meshes import AT_ONCE, across, compact, sound
 from realsim.core.rays import Rays
 from realsim.core.types import F64
 from realsim.export.contact.outline import area
@@ -67,21 +67,22 @@ def find_up(vertices: F64, triangles: NDArray[np.int64], suffix: str) -> Up:
         vertices: (V, 3) of the file. triangles: (K, 3); bad ones do not count.
         suffix: of the file, lower case.
     """
-    named = triangles[((triangles >= 0) & (triangles < len(vertices))).all(1)]
-    finite = np.asarray(np.isfinite(vertices).all(1))
-    named = named[finite[named].all(1)]
-    corners = vertices[named]
+    vertices, named = compact(vertices, triangles[sound(vertices, triangles)])
     habit = -2 * HABIT if suffix == ".glb" else HABIT
     usual = "z" if habit > 0 else "y"
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
-    whole = float(np.linalg.norm(cross, axis=1).sum())
+    cross = across(vertices, named)
+    cross /= 2
+    weights = np.linalg.norm(cross, axis=1)
+    whole = float(weights.sum())
     if not whole:
         return Up(usual)
-    volume = float(np.einsum("ij,ij->", corners[:, 0] - corners.reshape(-1, 3).mean(0), cross))
+    volume = float(np.einsum("ij,ij->", (vertices - vertices.mean(0))[named[:, 0]], cross))
     closed = float(np.linalg.norm(cross.sum(0))) < CLOSED * whole
-    surface = Rays(*compact(vertices, named))
-    z, y = (_facing_up(corners, cross, axis, surface if closed else None) for axis in (2, 1))
-    turned_z, turned_y = (_facing_up(corners, -cross, axis, surface if closed else None) for axis in (2, 1))
+    # Of an open surface, few triangles tell how far a mirror image is off, and a caster of all may take a gigabyte.
+    apart = 1 if closed else 1 + len(named) // AT_ONCE
+    mesh = _Mesh(vertices, named, cross, weights, Rays(vertices, named[::apart]), closed)
+    z, y = (_facing_up(mesh, axis, 1) for axis in (2, 1))
+    turned_z, turned_y = (_facing_up(mesh, axis, -1) for axis in (2, 1))
     # An open surface has no volume: it faces the way in which more of it can be walked on.
     inside_out = volume < 0 if closed else turned_z.area + turned_y.area > z.area + y.area
     if inside_out:
@@ -89,8 +90,8 @@ def find_up(vertices: F64, triangles: NDArray[np.int64], suffix: str) -> Up:
     ratio = float(np.log((z.area + 1e-9) / (y.area + 1e-9)))
     evidence = habit + (ratio if abs(ratio) > EDGEWISE else float(np.clip(ratio, -AREA, AREA)))
     evidence += FLOOR * (int(z.floor) - int(y.floor)) + BASE * (int(z.base) - int(y.base))
-    bears_z, bears_y = (0.1 + _bearing(corners, axis) for axis in (2, 1))
-    off_z, off_y = _off_mirrored(corners, cross, surface)
+    bears_z, bears_y = (0.1 + _bearing(vertices, axis) for axis in (2, 1))
+    off_z, off_y = _off_mirrored(mesh)
     evidence += BEARING * np.log(bears_z / bears_y) + MIRROR * (off_z - off_y) / (off_z + off_y + SLACK)
     axis = "z" if evidence > 0 else "y"
     areas = f"{float(f'{z.area:.2g}'):g} m2 face up along z, {float(f'{y.area:.2g}'):g} m2 along y"
@@ -103,6 +104,19 @@ def find_up(vertices: F64, triangles: NDArray[np.int64], suffix: str) -> Up:
 
 
 @dataclass(frozen=True)
+class _Mesh:
+    vertices: F64
+    """(V, 3), each of which a triangle names."""
+    triangles: NDArray[np.int32]
+    cross: F64
+    """(K, 3) along the triangles' normals, as long as their areas..."""
+    weights: F64
+    """...(K,)."""
+    surface: Rays
+    closed: bool
+
+
+@dataclass(frozen=True)
 class _FacingUp:
     """What speaks for one axis."""
 
@@ -112,26 +126,25 @@ class _FacingUp:
     base: bool
 
 
-def _facing_up(corners: F64, cross: F64, axis: int, solids: Rays | None) -> _FacingUp:
-    area = np.linalg.norm(cross, axis=1)
-    up = cross[:, axis] > WALKABLE * np.maximum(area, 1e-30)
-    heights = corners[:, :, axis]
+def _facing_up(mesh: _Mesh, axis: int, way: int) -> _FacingUp:
+    area = mesh.weights
+    up = way * mesh.cross[:, axis] > WALKABLE * np.maximum(area, 1e-30)
+    heights = mesh.vertices[:, axis][mesh.triangles]
     fifth = 0.2 * float(np.ptp(heights)) + 1e-6
     lowest = heights[up].min(initial=heights.max())
     if not (heights[up] > lowest + fifth).any():
         lowest = heights.min()  # what nothing stands on is a floor only where the mesh begins
-    plan = np.delete(corners, axis, 2).reshape(-1, 2)
-    footprint = float(np.ptp(plan, axis=0).prod())
+    sizes = np.ptp(mesh.vertices, 0)
+    footprint = float(np.delete(sizes, axis).prod())
     at_bottom = up & (heights.max(1) < lowest + fifth)
-    zero = 1e-3 * float(np.ptp(corners, (0, 1)).max())
+    zero = 1e-3 * float(sizes.max())
     base = heights.min() > -zero and bool((heights.max(1) < zero).any())
-    free = 1.0 if solids is None else _outside(corners, cross, np.where(up, area, 0.0), solids)
+    free = _outside(mesh, np.where(up, area, 0.0), way) if mesh.closed else 1.0
     return _FacingUp(free * float(area[up].sum()), bool(area[at_bottom].sum() > 0.5 * footprint), base)
 
 
-def _bearing(corners: F64, axis: int) -> float:
+def _bearing(points: F64, axis: int) -> float:
     """Share of the plan that the hull of the lowest points covers."""
-    points = corners.reshape(-1, 3)
     plan, heights = np.delete(points, axis, 1), points[:, axis]
     low = plan[heights <= heights.min() + OF_HEIGHT * np.ptp(heights)]
     around = np.linspace(0, 2 * np.pi, WAYS, endpoint=False)
@@ -139,29 +152,28 @@ def _bearing(corners: F64, axis: int) -> float:
     return abs(area(outline)) / max(float(np.ptp(plan, axis=0).prod()), 1e-30)
 
 
-def _off_mirrored(corners: F64, cross: F64, surface: Rays) -> tuple[float, float]:
+def _off_mirrored(mesh: _Mesh) -> tuple[float, float]:
     """How far the surface's mirror images along z and along y are off it, on average, in parts of its size."""
-    weights = np.linalg.norm(cross, axis=1)
-    points, _ = _scattered(corners, weights)
-    low, high = corners.min((0, 1)), corners.max((0, 1))
-    off = [surface.distance(np.where(np.arange(3) == axis, low + high - points, points)).mean() for axis in (2, 1)]
+    points, _ = _scattered(mesh, mesh.weights)
+    low, high = mesh.vertices.min(0), mesh.vertices.max(0)
+    off = [mesh.surface.distance(np.where(np.arange(3) == axis, low + high - points, points)).mean() for axis in (2, 1)]
     return float(off[0] / np.ptp([low, high], 0).max()), float(off[1] / np.ptp([low, high], 0).max())
 
 
-def _scattered(corners: F64, weights: F64) -> tuple[F64, NDArray[np.int64]]:
+def _scattered(mesh: _Mesh, weights: F64) -> tuple[F64, NDArray[np.int64]]:
     """((PROBES, 3) points of triangles drawn by weights (K,), and the triangles)."""
     rng = np.random.default_rng(0)
     chosen = rng.choice(len(weights), PROBES, p=weights / weights.sum())
-    return np.einsum("nk,nkj->nj", rng.dirichlet(np.ones(3), PROBES), corners[chosen]), chosen
+    return np.einsum("nk,nkj->nj", rng.dirichlet(np.ones(3), PROBES), mesh.vertices[mesh.triangles[chosen]]), chosen
 
 
-def _outside(corners: F64, cross: F64, weights: F64, solids: Rays) -> float:
+def _outside(mesh: _Mesh, weights: F64, way: int) -> float:
     """Share of an area, by weights (K,) of its triangles, within no other solid: from within one, a ray outward
     leaves more surfaces than it enters."""
     if not weights.any():
         return 1.0
-    points, chosen = _scattered(corners, weights)
-    outward = cross[chosen] / np.linalg.norm(cross[chosen], axis=1, keepdims=True)
-    ray, _, triangle = solids.crossings(points + 1e-4 * np.ptp(points, 0).max() * outward, outward)
-    leaving = np.sign(np.einsum("nj,nj->n", cross[triangle], outward[ray]))
+    points, chosen = _scattered(mesh, weights)
+    outward = way * mesh.cross[chosen] / mesh.weights[chosen, None]
+    ray, _, triangle = mesh.surface.crossings(points + 1e-4 * np.ptp(points, 0).max() * outward, outward)
+    leaving = np.sign(way * np.einsum("nj,nj->n", mesh.cross[triangle], outward[ray]))
     return float((np.bincount(ray, leaving, PROBES) < 0.5).mean())

@@ -54,6 +54,8 @@ def turn_closed(vertices: NDArray[np.float64], triangles: NDArray[np.int32]) -> 
     count = int(piece.max()) + 1
     closed = np.ones(count, bool)
     closed[piece[edges.order[edges.first[edges.uses != 2]] // 3]] = False
+    if not closed.any():
+        return triangles, 0
     corners = vertices[triangles] - vertices.mean(0)
     volume = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6
     inward = closed & (np.bincount(piece, volume, count) < -1e-9)

@@ -14,7 +14,7 @@ from realsim.export.ground import ground_level
 from realsim.export.mend import mend, read_mesh
 from realsim.export.unite import united
 from realsim.export.winding import turn_stray
-from tests.truths.solids import block, terrain, with_floor
+from tests.truths.solids import block, grid_mesh, terrain, with_floor
 
 CONFIG = SceneConfig(contact_probes=200)
 
@@ -218,6 +218,24 @@ def test_a_self_intersecting_mesh_is_one_solid(tmp_path: Path) -> None:
     assert files.contact["p95_mm"] < 10
     assert files.contact["leaks"] == 0
     assert {"scene.xml", "contact.json", "contact.png", "mesh.ply"} <= {p.name for p in out.iterdir()}
+
+
+@pytest.mark.parametrize("many", [10, 700], ids=["solids", "sheet"])
+def test_a_mesh_of_millions_of_triangles_is_looked_at_as_a_small_one_is(tmp_path: Path, monkeypatch, many: int) -> None:
+    """Of so many, the rays from above are cast at those that they meet, and an open surface is mirrored on some."""
+    vertices, faces = grid_mesh(lambda x, y: 0.2 * np.sin(3 * x) * np.cos(2 * y), 3.0, 40)
+    if many == 10:
+        blocks = [block(0, 0, 0.4, 0.2, 0.2).to_mesh64(), block(0.1, 0.05, 0.2, 0.4, 0.3).to_mesh64()]
+        vertices = np.concatenate([np.asarray(b.vert_properties)[:, :3] for b in blocks])
+        faces = np.concatenate([np.asarray(b.tri_verts, np.int64) + 8 * k for k, b in enumerate(blocks)])
+    trimesh.Trimesh(vertices, faces[:, ::-1], process=False).export(tmp_path / "a.ply")
+    small = read_mesh(tmp_path / "a.ply")
+    for module in ("realsim.core.meshes", "realsim.export.mend", "realsim.export.up"):
+        monkeypatch.setattr(sys.modules[module], "AT_ONCE", many)
+    large = read_mesh(tmp_path / "a.ply")
+    assert (large.up, large.notes) == (small.up, small.notes)
+    np.testing.assert_array_equal(large.terrain.vertices, small.terrain.vertices)
+    np.testing.assert_array_equal(large.terrain.triangles, small.terrain.triangles)
 
 
 def test_an_open_piece_is_not_made_one_with_solids() -> None:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.core.errors import ExportError
-from realsim.core.meshes import across
+from realsim.core.meshes import across, used
 from realsim.core.types import F32, F64, TerrainMesh
 from realsim.export.contact.rays import Rays
 
@@ -65,7 +65,8 @@ def columns(mesh: TerrainMesh, ground_z: float, cell: float) -> Columns:
         ground_z: z of the ground; what lies at most 2 cm above it stands on it.
         cell: metres; coarsened where the grid would have more than MAX_CELLS cells.
     """
-    lower, upper = mesh.vertices[mesh.triangles].min((0, 1)), mesh.vertices[mesh.triangles].max((0, 1))
+    named = used(mesh.vertices, mesh.triangles)
+    lower, upper = named.min(0), named.max(0)
     cell = max(cell, float(np.sqrt((upper - lower)[:2].prod() / MAX_CELLS)))
     counts = np.maximum(np.ceil((upper - lower)[:2] / cell).astype(int), 1)
     origin = lower[:2] + ((upper - lower)[:2] - (counts - 1) * cell) / 2
@@ -167,7 +168,7 @@ def check_extent(mesh: TerrainMesh) -> None:
     """Refuse a mesh without triangles, or of a size that no terrain has."""
     if len(mesh.triangles) == 0:
         raise ExportError("the mesh has no triangles")
-    extent = float(np.ptp(mesh.vertices[mesh.triangles].reshape(-1, 3), 0).max())
+    extent = float(np.ptp(used(mesh.vertices, mesh.triangles), 0).max())
     if not 0.02 <= extent <= 200:
         raise ExportError(
             "the mesh is not of a terrain's size",

@@ -4,6 +4,7 @@ what overhangs is filled down to the ground."""
 import numpy as np
 from numpy.typing import NDArray
 
+from realsim.core.meshes import used
 from realsim.export.config import SceneConfig
 from realsim.export.contact.base import Asset, ContactModel, Geom, floor_around
 from realsim.export.contact.shape import Shape
@@ -23,8 +24,8 @@ def hfield(shape: Shape, config: SceneConfig) -> ContactModel:
     8-bit image would round a 1 m terrain to 4 mm steps and turn the rows round.
     """
     mesh, ground_z = shape.mesh, shape.ground_z
-    used = mesh.vertices[mesh.triangles].reshape(-1, 3)[:, :2]
-    most = float(np.sqrt(np.ptp(used, axis=0).prod() / MOST_NODES)) if config.contact == "auto" else 0.0
+    plan = used(mesh.vertices, mesh.triangles)[:, :2]
+    most = float(np.sqrt(np.ptp(plan, axis=0).prod() / MOST_NODES)) if config.contact == "auto" else 0.0
     grid = height_grid(mesh.vertices, mesh.triangles, max(config.hfield_resolution, most))
     holes = np.isnan(grid.z)
     z = np.where(holes, ground_z, grid.z).astype(np.float32)

@@ -1,7 +1,6 @@
 """`hull`: the convex hull of the whole mesh, which is what MuJoCo makes of a mesh geom. A baseline, not for use."""
 
-import numpy as np
-
+from realsim.core.meshes import used
 from realsim.export.config import SceneConfig
 from realsim.export.contact.base import Asset, ContactModel, Geom, floor_plane
 from realsim.export.contact.columns import check_extent
@@ -14,7 +13,7 @@ def hull(shape: Shape, config: SceneConfig) -> ContactModel:
 
     mesh, ground_z = shape.mesh, shape.ground_z
     check_extent(mesh)
-    used = mesh.vertices[np.unique(mesh.triangles)]
-    corners = used[ConvexHull(used, qhull_options="QJ").vertices]
+    named = used(mesh.vertices, mesh.triangles)
+    corners = named[ConvexHull(named, qhull_options="QJ").vertices]
     geoms = (floor_plane(ground_z), Geom("hull", "mesh", asset="hull"))
     return ContactModel("hull", geoms, (Asset.of_points("hull", corners),))

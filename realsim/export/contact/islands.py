@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.core.meshes import across, sampled
+from realsim.core.meshes import across, sampled, used
 from realsim.core.types import F64, TerrainMesh
 from realsim.export.contact.base import Geom, floor_around, floor_plane
 from realsim.export.contact.columns import NARROW, Columns, check_extent, columns
@@ -90,7 +90,7 @@ def terrain(mesh: TerrainMesh, ground_z: float, cell: float | None = None) -> Te
     """
     check_extent(mesh)
     if mesh.noise_m is None:  # made by hand: its long edges are exact
-        size = np.ptp(mesh.vertices[np.unique(mesh.triangles), :2], axis=0)
+        size = np.ptp(used(mesh.vertices, mesh.triangles)[:, :2], axis=0)
         finest = max(FINEST, float(np.sqrt(size.prod() / MOST_FINE)))
         cell = cell or float(np.clip(_thinnest(mesh) / WITHIN, finest, CELL))
     else:

@@ -18,7 +18,7 @@ from realsim.export.config import SceneConfig
 from realsim.export.contact.base import ContactModel, Geom
 from realsim.export.contact.columns import SHEET
 from realsim.export.contact.islands import ROUGH
-from realsim.export.contact.outline import convex_parts, outlines
+from realsim.export.contact.outline import area, convex_parts, outlines
 from realsim.export.contact.patches import LEAST, Patch, Samples, patches, sampled
 from realsim.export.contact.polytope import Polytope
 from realsim.export.contact.prisms import Prism, as_contact, as_geom, placed
@@ -60,9 +60,9 @@ def sheets(shape: Shape, config: SceneConfig) -> ContactModel:
     whole, mesh = shape.fine, shape.mesh
     vertices, seen = mesh.vertices, mesh.carrying
     surface = Reference(vertices, seen)
-    area = float(areas(vertices, seen).sum())
+    surface_area = float(areas(vertices, seen).sum())
     tolerance = max(whole.tolerance, min(mesh.resolution / PLANES, ROUGH))
-    spacing = max(0.01, float(np.sqrt(area / MOST)))
+    spacing = max(0.01, float(np.sqrt(surface_area / MOST)))
     samples = sampled(vertices, seen, spacing)
     # Of a ceiling only the underside is known: no solid, but a sheet.
     below = [shape.planar_of(n) for n, island in enumerate(whole.islands) if island.top_seen > SEEN]
@@ -114,13 +114,12 @@ def _outer_area(prisms: list[Prism]) -> float:
     parts = [Polytope(prism.corners) for prism in prisms]
     total = 0.0
     for prism in prisms:
-        x, y = prism.outline.T
         side = np.roll(prism.outline, -1, axis=0) - prism.outline
         length, height = np.linalg.norm(side, axis=1), prism.top - prism.bottom
         out = INSIDE * np.column_stack([side[:, 1], -side[:, 0]]) / np.maximum(length, 1e-12)[:, None]
         beside = np.column_stack([prism.outline + side / 2 + out, (prism.top + prism.bottom) / 2])
         free = ~np.any([part.contains(beside) for part in parts], axis=0)
-        total += 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
+        total += abs(area(prism.outline))
         total += float((free * length * (height + np.roll(height, -1)) / 2).sum())
     return total
 
@@ -233,8 +232,7 @@ def _slabs(patch: Patch, samples: Samples, surface: Reference, tolerance: float,
             corners = corners @ patch.axes + patch.origin
         else:
             frame = (patch.axes.T, patch.origin)
-        x, y = corners[:, 0], corners[:, 1]
-        if x @ np.roll(y, -1) - y @ np.roll(x, -1) < 0:
+        if area(corners[:, :2]) < 0:
             corners = corners[::-1]
         z = corners[:, 2]
         out.append((Prism(corners[:, :2], z + thick * (facing < 0), z - thick * (facing >= 0)), *frame))

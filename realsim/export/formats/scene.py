@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from realsim.core.errors import ExportError
 from realsim.core.files import check_size
-from realsim.core.meshes import across, height_field, merged, mesh_of
+from realsim.core.meshes import across, height_field, merged, mesh_of, used
 from realsim.core.mjcf import check_mjcf
 from realsim.core.types import F64
 from realsim.export.contact.polytope import SIGNS
@@ -129,7 +129,7 @@ def load_scene(folder: Path) -> SceneOnDisk:
     world = np.flatnonzero(model.site_bodyid == 0)
     sites = {model.site(i).name: (data.site_xpos[i].copy(), model.site_size[i].copy()) for i in world}
     vertices, triangles = np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int32)
-    _check_drawn(folder, model, data, vertices[np.unique(triangles)])
+    _check_drawn(folder, model, data, used(vertices, triangles))
     return SceneOnDisk(folder, vertices, triangles, colors, boxes, convex, surfaces, floor, sites)
 
 
