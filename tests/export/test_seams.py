@@ -95,6 +95,22 @@ def test_a_seam_that_is_longer_on_both_sides_gets_a_part() -> None:
     assert not open_seams(parts_of(contact)[0])
 
 
+def test_a_seam_beside_a_face_that_bends_a_little_gets_a_part_where_a_ball_could_stay() -> None:
+    """Its neighbour goes on at five degrees, and straight on from the seam nothing of it would be left."""
+    tip, low, high = (0.0, 0.0), (0.16, -0.07), (0.16, 0.07)
+    bent = [tip, high, (0.38, 0.185), (0.2, 0.3)]
+    outlines = [[tip, low, high], bent, [(x, -y) for x, y in bent]]
+    corners = [np.array([(x, y, z) for x, y in each for z in (0.0, 0.2)]) for each in outlines]
+    before = as_contact("boxes", [], (floor_plane(0.0),), {}, corners)
+    after = overlap(before)
+    assert open_seams(parts_of(before)[0])
+    assert not open_seams(parts_of(after)[0])
+    along = np.linspace(0.4, 0.8, 11)[:, None] * high
+    places = np.column_stack([along, np.full(11, 0.2)])
+    assert (settled(before, places, False) < 0.2).any(), "parts that only meet hold it"
+    np.testing.assert_allclose(settled(after, places, False), 0.21, atol=1e-3)
+
+
 def test_pieces_of_a_convex_solid_are_one_part_and_a_dent_stays() -> None:
     """However it was cut: the hull of the pieces adds nothing. Over a gap, and in a corner, it would."""
     rings = [[[a * w, b * w, z] for a in (-1, 1) for b in (-1, 1)] for w, z in ((0.3, 0.0), (0.15, 0.25))]

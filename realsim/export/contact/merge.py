@@ -1,6 +1,7 @@
 """Parts whose hull adds nothing to the shape are made one: a frustum cut under each of its faces is one part again."""
 
 from collections.abc import Iterable, Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,7 @@ AT_ONCE = 5000
 """Points times parts that are compared at a time, some 0.5 MB; the result does not depend on it."""
 SOME = 8
 """Points that are looked at before the others, where one that is outside decides; the result does not depend on it."""
+APART = 2
 MOST_CORNERS = 64
 """Of one part; colliders on a GPU take no more."""
 
@@ -38,6 +40,8 @@ class Neighbours:
     def __init__(self, parts: Iterable[Polytope]) -> None:
         bounds = np.array([(p.lower, p.upper) for p in parts]).reshape(-1, 2, 3)
         self.lower, self.upper = np.ascontiguousarray(bounds[:, 0].T), np.ascontiguousarray(bounds[:, 1].T)
+        self.seen: dict[Any, Any] = {}
+        """What was found of some of them already."""
 
     def update(self, i: int, part: Polytope | None) -> None:
         """A part that changed, or is gone."""
@@ -123,23 +127,23 @@ def merged(parts: list[Polytope], whole: Whole, adds: float = ADDS) -> list[Poly
     """
     out: list[Polytope | None] = list(parts)
     near = Neighbours(parts)
-    refused: set[tuple[int, int]] = set()
-    kept = list(parts)  # so that no identity is given twice
+    tried = np.zeros((len(parts), len(parts)), np.int8)
     changed = True
     while changed:
         changed = False
         for i, part in enumerate(out):
             if part is None:
                 continue
-            while (found := _partner(out, near, whole, i, adds, refused)) is not None:
+            while (found := _partner(out, near, whole, i, adds, tried)) is not None:
                 out[i] = found
-                kept.append(found)
                 near.update(i, found)
                 changed = True
                 around = near.of(found.lower - adds, found.upper + adds, but=i).tolist()
-                for j in _held(found, {j: other for j in around if (other := out[j]) is not None}, adds):
+                gone = _held(found, {j: other for j in around if (other := out[j]) is not None}, adds)
+                for j in gone:
                     out[j] = None
                     near.update(j, None)
+                tried[i] = tried[:, i] = APART * (tried[[i, *gone]] == APART).any(0)
     return [
         now if now is None or now is old else _cut_back(now, parts, adds) for now, old in zip(out, parts, strict=True)
     ]
@@ -177,22 +181,25 @@ def _cut_back(part: Polytope, pieces: list[Polytope], most: float) -> Polytope:
 
 
 def _partner(
-    parts: list[Polytope | None], near: Neighbours, whole: Whole, i: int, adds: float, refused: set[tuple[int, int]]
+    parts: list[Polytope | None], near: Neighbours, whole: Whole, i: int, adds: float, tried: NDArray[np.int8]
 ) -> Polytope | None:
-    """The hull of a part and of one that it meets, if there is one that adds nothing."""
+    """The hull of a part and of one that it meets, if there is one that adds nothing.
+
+    Args:
+        tried: (N, N) 1 where two parts as they are have none, APART where nor will they when they have grown.
+    """
     one = parts[i]
     assert one is not None
     for j in near.of(one.lower - adds, one.upper + adds, but=i):
         other = parts[j]
-        if other is None:
+        if other is None or tried[i, j]:
             continue
-        pair = (min(id(one), id(other)), max(id(one), id(other)))
-        if pair in refused:
-            continue
+        tried[i, j] = tried[j, i] = 1
         halfway = (one.points[:, None] + other.points).reshape(-1, 3) / 2  # most are refused by these, without a hull
-        if whole.holds(halfway[:: 1 + len(halfway) // 100], 2 * adds):
+        if not whole.holds(halfway[:: 1 + len(halfway) // 100], 2 * adds):
+            tried[i, j] = tried[j, i] = APART  # a place outside, which a larger hull holds as well
+        else:
             hull = Polytope(corners_of(one.points, other.points))  # boxes are recognised when all are merged
             if len(hull.points) <= MOST_CORNERS and whole.holds_hull(hull, adds, one, other):
                 return hull
-        refused.add(pair)
     return None

@@ -16,7 +16,7 @@ from realsim.core.progress import track
 from realsim.core.types import F64
 from realsim.export.contact.base import Asset, ContactModel, Geom
 from realsim.export.contact.merge import ADDS, Neighbours, Whole, merged
-from realsim.export.contact.outline import hull
+from realsim.export.contact.outline import area, hull
 from realsim.export.contact.polytope import Face, Polytope, farthest
 
 REACH = 0.02
@@ -33,6 +33,8 @@ FLUSH = 1e-5
 """Metres below a neighbour's far side at which a part ends that goes through all of it."""
 NARROW = 0.004
 """Metres: a thinner strip of contact is no seam that anything gets into."""
+RADIUS = 0.01
+"""Metres: of the balls that nothing may hold."""
 OPPOSED = 0.9
 """Cosine: parts push against each other where they meet face to face. Where they cross, they push to the free side."""
 
@@ -58,7 +60,9 @@ def overlap(contact: ContactModel, tolerance: float = 0.0, most: float = np.inf)
             if grown is not None:
                 parts[i] = grown
                 near.update(i, grown)
-    added = list(_bridges(parts, near))
+    added: list[Polytope] = []
+    for _, cover in _open(parts, near, added):
+        added.append(Polytope.around(cover.core))
     geoms: list[Geom] = list(others)
     assets: list[Asset] = [a for a in contact.assets if a.points is None]
     for name, part in zip([*named, *(f"seam_{k}" for k in range(len(added)))], [*parts, *added], strict=True):
@@ -83,14 +87,10 @@ class Seam:
 
 def open_seams(parts: list[Polytope]) -> list[Seam]:
     """Seams that no part spans, one for each pair of parts; slivers that nothing can stay in do not count."""
-    near = Neighbours(parts)
     found: dict[tuple[int, int], Seam] = {}
-    for i, part in enumerate(parts):
-        for face in part.faces:
-            for cover in _covers(parts, near, i, face):
-                pair = (min(i, cover.part), max(i, cover.part))
-                if pair not in found and not _spanned(parts, near, cover):
-                    found[pair] = Seam(*pair, face.lifted(cover.near).mean(0))
+    for i, cover in _open(parts, Neighbours(parts), []):
+        pair = (min(i, cover.part), max(i, cover.part))
+        found.setdefault(pair, Seam(*pair, cover.face.lifted(cover.near).mean(0)))
     return list(found.values())
 
 
@@ -114,6 +114,7 @@ class _Cover:
     """What a neighbour covers of a face."""
 
     part: int
+    face: Face
     near: F64
     """(K, 2) outline just outside the face."""
     far: F64
@@ -122,6 +123,8 @@ class _Cover:
     """Metres: REACH, or as far as the neighbour goes."""
     core: F64
     """(M, 3) corners of what a part has to hold that spans the seam."""
+    bent: bool
+    """Whether a side bends at the seam, so that nothing goes on straight."""
 
 
 def _covers(parts: list[Polytope], near: Neighbours, i: int, face: Face) -> Iterator[_Cover]:
@@ -129,26 +132,38 @@ def _covers(parts: list[Polytope], near: Neighbours, i: int, face: Face) -> Iter
     beyond = face.corners + REACH * face.normal
     low, high = np.minimum(face.corners.min(0), beyond.min(0)), np.maximum(face.corners.max(0), beyond.max(0))
     outline, part = hull(face.flat(face.corners)), parts[i]
-    for j in near.of(low, high, but=i):
-        other = parts[j]
-        back = other.faces[int((other.planes[:, :3] @ face.normal).argmin())]
-        cosine = float(back.normal @ face.normal)
-        if cosine > -OPPOSED:
-            continue
-        section = other.section(face, GAP)
-        if not len(section) or _apart(outline, section) or _width(close := clip(outline, hull(section))) <= NARROW:
-            continue
-        into = float(((face.lifted(close) @ back.normal + back.offset) / cosine).min())
-        if into > DEEP:
-            continue
-        reach = min(REACH, _thickness(other, face) - FLUSH)
-        far = _straight_on(part, face, reach, other.section(face, reach))
-        depth = min(REACH + max(into, 0.0), -float((part.points @ face.normal + face.offset).min()) - FLUSH)
-        inside = clip(close, _straight_on(other, back, depth, part.section(face, -depth), face))
-        outside = clip(close, far)
-        if _width(inside) > NARROW and _width(outside) > NARROW:
-            core = [face.lifted(inside, -depth), face.lifted(close), face.lifted(outside, reach)]
-            yield _Cover(int(j), close, far, reach, np.concatenate(core))
+    for j in near.of(low, high, but=i).tolist():
+        key = part, face, j, parts[j]  # looked at when parts grow, and again for what is left of the seams
+        if key not in near.seen:
+            near.seen[key] = _cover(part, face, outline, j, parts[j])
+        if (cover := near.seen[key]) is not None:
+            yield cover
+
+
+def _cover(part: Polytope, face: Face, outline: F64, j: int, other: Polytope) -> _Cover | None:
+    """What of a part's face, by its outline, part j covers."""
+    back = other.faces[int((other.planes[:, :3] @ face.normal).argmin())]
+    cosine = float(back.normal @ face.normal)
+    if cosine > -OPPOSED:
+        return None
+    section = other.section(face, GAP)
+    if not len(section) or _apart(outline, section) or _width(close := clip(outline, hull(section))) <= NARROW:
+        return None
+    into = float(((face.lifted(close) @ back.normal + back.offset) / cosine).min())
+    if into > DEEP:
+        return None
+    reach = min(REACH, _thickness(other, face) - FLUSH)
+    far = _straight_on(part, face, reach, other.section(face, reach))
+    depth = min(REACH + max(into, 0.0), -float((part.points @ face.normal + face.offset).min()) - FLUSH)
+    inside = clip(close, _straight_on(other, back, depth, part.section(face, -depth), face))
+    outside = clip(close, far)
+    if bent := min(_width(inside), _width(outside)) <= NARROW:
+        inside = clip(close, hull(part.section(face, -depth)))
+        outside = clip(close, hull(other.section(face, reach)))
+    if min(_width(inside), _width(outside)) <= NARROW:
+        return None
+    core = [face.lifted(inside, -depth), face.lifted(close), face.lifted(outside, reach)]
+    return _Cover(j, face, close, far, reach, np.concatenate(core), bent)
 
 
 def _straight_on(part: Polytope, face: Face, beyond: float, outline: F64, flat: Face | None = None) -> F64:
@@ -174,7 +189,7 @@ def _thickness(part: Polytope, face: Face) -> float:
 
 def _grown(parts: list[Polytope], near: Neighbours, whole: Whole, i: int, face: Face) -> Polytope | None:
     """Part i, grown across one of its faces into what no part spans yet, if that adds nothing to the whole."""
-    part, covers = parts[i], list(_covers(parts, near, i, face))
+    part, covers = parts[i], [c for c in _covers(parts, near, i, face) if not c.bent or _stays(parts, near, [], c)]
     open_ = [c for c in covers if not _spanned(parts, near, c)]
     if not open_:
         return None
@@ -193,15 +208,36 @@ def _grown(parts: list[Polytope], near: Neighbours, whole: Whole, i: int, face: 
     return None
 
 
-def _bridges(parts: list[Polytope], near: Neighbours) -> Iterator[Polytope]:
-    """Parts across what is left of the seams, within both sides."""
-    made: list[Polytope] = []
+def _open(parts: list[Polytope], near: Neighbours, added: list[Polytope]) -> Iterator[tuple[int, _Cover]]:
+    """(part, seam at one of its faces) of those that neither a part spans nor one that was added; of bent ones, of
+    which a round thing has hundreds, those that could hold a ball."""
     for i, part in enumerate(parts):
         for face in part.faces:
             for cover in _covers(parts, near, i, face):
-                if not _spanned(parts, near, cover) and not _held(cover.core, made):
-                    made.append(Polytope.around(cover.core))
-                    yield made[-1]
+                spanned = _spanned(parts, near, cover) or _held(cover.core, added)
+                if not spanned and (not cover.bent or _stays(parts, near, added, cover)):
+                    yield i, cover
+
+
+def _stays(parts: list[Polytope], near: Neighbours, added: list[Polytope], cover: _Cover) -> bool:
+    """Whether a ball that comes from above stays somewhere on a seam, its middle its radius within the rim: every part
+    pushes it out through the nearest of its faces, and none of them up."""
+    rim = np.concatenate([cover.near, (cover.near + np.roll(cover.near, 1, axis=0)) / 2])
+    inward = cover.near.mean(0) - rim
+    inward *= np.minimum(RADIUS / np.maximum(np.linalg.norm(inward, axis=1, keepdims=True), 1e-9), 1.0)
+    at = cover.face.lifted(rim + inward)
+    beside = RADIUS * np.stack([cover.face.normal, -cover.face.normal]) + [0.0, 0.0, 2 * RADIUS]
+    above, lifts = at + beside[:, None], np.zeros(len(at))
+    free = np.ones((2, len(at)), bool)
+    low, high = at.min(0) - RADIUS, at.max(0) + 3 * RADIUS
+    for part in [*(parts[j] for j in near.of(low, high)), *added]:
+        if (part.lower < high).all() and (part.upper > low).all():
+            free &= ~part.contains(above.reshape(-1, 3)).reshape(2, -1)
+            off = part.planes[:, :3] @ at.T + part.planes[:, 3:]
+            lifts += np.maximum(RADIUS - off.max(0), 0.0) * part.planes[off.argmax(0), 2]
+    held = free.any(0) & (lifts < RADIUS / 2)
+    held[: len(held) // 2] &= np.linalg.norm(cover.near - np.roll(cover.near, 1, axis=0), axis=1) > 2 * RADIUS
+    return bool((held & np.roll(held, len(held) // 2)).any())  # at a corner and in the middle of a side beside it
 
 
 def _spanned(parts: list[Polytope], near: Neighbours, cover: _Cover) -> bool:
@@ -249,7 +285,5 @@ def _width(outline: F64) -> float:
     """Metres: the least width of a convex outline (M, 2), by its area and length; 0 of none."""
     if len(outline) < 3:
         return 0.0
-    x, y = outline.T
-    area = 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
     around = float(np.linalg.norm(np.roll(outline, -1, 0) - outline, axis=1).sum())
-    return 2 * area / max(around, 1e-12)
+    return 2 * abs(area(outline)) / max(around, 1e-12)
