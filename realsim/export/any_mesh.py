@@ -109,6 +109,8 @@ def contact_verdict(contact: Mapping[str, Any], tolerance: tuple[float, float]) 
         )
         todo.append("try another --contact (hybrid, convex, hfield), or close the holes of the mesh")
         todo.append("if it is a scan of a place, which has a floor and holes: realsim reconstruct MESH --out scene")
+    if contact.get("held"):
+        look.append(f"{contact['held']} of {contact['leak_objects']} balls thrown onto it stay between parts.")
     if contact["hidden_cm2"]:
         said = bad if contact["hidden_cm2"] > 1e4 * PIT_AREA else look
         said.append(f"{contact['hidden_cm2']:.0f} cm2 of the mesh lie below the ground and are not in the scene.")

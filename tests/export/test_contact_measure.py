@@ -10,6 +10,7 @@ from realsim.export.contact.base import Asset, ContactModel, Geom, floor_plane
 from realsim.export.contact.boxes import boxes
 from realsim.export.contact.cost import standing_place
 from realsim.export.contact.fidelity import FAULTLESS, Region, g1_foot, measure
+from realsim.export.contact.prisms import as_contact
 from realsim.export.contact.probe import BALL, Reference, SimTouch, first_touch, spec_of
 from realsim.export.contact.shape import Shape
 from tests.export.measured import CONFIG, FACING_UP, fidelity, reference
@@ -93,6 +94,21 @@ def test_a_hole_in_the_collision_geometry_leaks() -> None:
     mesh = with_floor(block(0, 0, 0.5, 0.5, 0.2))
     hollow = ContactModel("x", (floor_plane(0.0),))
     assert measure(spec_of(hollow), reference(mesh), 0.0, probes=200, feet=0).figures["leaks"] > 10
+
+
+def test_a_ball_between_parts_of_a_thin_thing_is_held() -> None:
+    """A plate of 3 cm has no place 15 mm deep; a ball that its halves push into each other stays all the same."""
+    mesh = with_floor(block(0, 0, 0.12, 0.12, 0.03))
+    signs = np.array([[a, b, c] for a in (-1, 1) for b in (-1, 1) for c in (-1, 1)])
+    halves = [signs * [0.03, 0.06, 0.015] + [x, 0, 0.015] for x in (-0.03, 0.03)]
+    meeting = as_contact("x", [], (floor_plane(0.0),), {}, halves)
+    whole = ContactModel("x", (floor_plane(0.0), Geom("a", "box", (0, 0, 0.015), size=(0.06, 0.06, 0.015))))
+    found = [measure(spec_of(c), reference(mesh), 0.0, probes=200, feet=0).figures for c in (meeting, whole)]
+    assert found[0]["held"] > 0
+    assert found[1]["leaks"] == found[1]["held"] == 0
+    said = {**found[0], "hidden_cm2": 0.0}
+    assert contact_verdict(said, (0.005, 0.015))["level"] == "look"
+    assert found[1]["leak_objects"] > 50, "most of them land on it and stay"
 
 
 def test_standing_place_is_high_level_and_not_at_the_rim() -> None:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from realsim.core.meshes import used
 from realsim.core.types import F64
 from realsim.export.contact.leaks import count_leaks
 from realsim.export.contact.probe import BALL, BALL_RADIUS, CEILING, Probe, Reference, SimTouch, first_touch
@@ -50,12 +51,12 @@ class Region:
     @staticmethod
     def around(reference: Reference, ground_z: float, margin: float = 0.1) -> Region:
         """The bounding rectangle of all vertices more than 1 cm above the ground, grown by `margin`."""
-        used = reference.vertices[np.unique(reference.triangles)]
-        raised = used[used[:, 2] > ground_z + 0.01]
-        inside = raised if len(raised) else used
-        lower = np.maximum(inside.min(0)[:2] - margin, used.min(0)[:2])
-        upper = np.minimum(inside.max(0)[:2] + margin, used.max(0)[:2])
-        return Region(lower, upper, ground_z, float(used[:, 2].max()))
+        named = used(reference.vertices, reference.triangles)
+        raised = named[named[:, 2] > ground_z + 0.01]
+        inside = raised if len(raised) else named
+        lower = np.maximum(inside.min(0)[:2] - margin, named.min(0)[:2])
+        upper = np.minimum(inside.max(0)[:2] + margin, named.max(0)[:2])
+        return Region(lower, upper, ground_z, float(named[:, 2].max()))
 
     def grid(self, count: int) -> tuple[F64, float]:
         """((M, 2) about `count` points, one at random in every cell of a square grid; area of a cell in m^2).

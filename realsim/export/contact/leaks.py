@@ -5,11 +5,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.export.contact.probe import Reference, terrain_only
+from realsim.core.meshes import across, used
+from realsim.export.contact.probe import Reference, terrain_only, triangles_of
 
 RADIUS = 0.01
 DEEP = 0.015  # metres inside a solid
-FALL = 0.5  # metres above the surface below from which a ball falls: a foot comes down no faster than 3 m/s
+HELD = RADIUS / 2  # metres by which a ball overlaps parts that push it into each other, by all of its radius at a plain
+# seam; what lies on a surface overlaps it by less than a millimetre
+FALL = 0.5  # metres above the surface below from which a ball falls: a foot comes down no faster than 3 m/s, and...
+LANDS = 2.0  # ...no slower than this, metres a second: on a low thing there is no height to fall from
+MOST_EDGES = 100_000  # of the geoms that are looked at, for memory
 SETTLED = 10  # looks at the end in all of which a leak is inside
 LOOKS = 100  # times a second that a ball's place is noted
 
@@ -25,10 +30,12 @@ def count_leaks(
     seed: int = 0,
     noise: float = 0.0,
 ) -> dict[str, Any]:
-    """Throw balls of 1 cm onto a terrain for a second and count those that get through its surface.
+    """Throw balls of 1 cm onto a terrain for a second and count those that get through its surface: half of them onto
+    edges of its geoms, where two may meet; of either half, every second straight down.
 
     A leak ends inside a solid, having gone through a measured face from its front, or below the floor. One that rolls
-    in under a table, where nobody knows what is there, does not.
+    in under a table, where nobody knows what is there, does not. What is no deeper, but between parts that push it into
+    each other, is held.
 
     Args:
         spec: `MjSpec` of the terrain.
@@ -36,8 +43,8 @@ def count_leaks(
         noise: metres that the reference itself may be off.
 
     Returns:
-        {`leaks`, `leak_objects`, `leak_places`}: how many got in, of how many that stayed over the reference, and
-        (leaks, 3) where those ended, to the millimetre.
+        {`leaks`, `held`, `leak_objects`, `leak_places`}: how many got in and how many are held, of how many that stayed
+        over the reference, and (leaks + held, 3) where those ended, to the millimetre.
     """
     import mujoco
 
@@ -45,7 +52,9 @@ def count_leaks(
     spec = terrain_only(spec)
     spec.memory = 256 * 2**20
     top = float(reference.vertices[:, 2].max())
-    xy = np.array([rng.uniform(lower, upper) for _ in range(objects)])
+    xy = rng.uniform(lower, upper, (objects, 2))
+    on_edges = _on_edges(spec, lower, upper, objects // 2, rng)
+    xy[: len(on_edges)] = on_edges
     begin = np.minimum(reference.start_above(xy, ground_z) - 2 * RADIUS, top + 0.05)
     begin = np.minimum(begin, np.nan_to_num(reference.top(xy, begin), nan=ground_z) + FALL)
     for place, z in zip(xy, begin, strict=True):
@@ -54,26 +63,52 @@ def count_leaks(
         body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[RADIUS, 0, 0], mass=0.02, contype=1, conaffinity=0)
     model = spec.compile()
     data = mujoco.MjData(model)
-    data.qvel.reshape(objects, 6)[:, :2] = rng.normal(0, 0.4, (objects, 2))
-    path = [data.qpos.reshape(objects, 7)[:, :3].copy()]
+    data.qvel.reshape(objects, 6)[:, 2] = -LANDS
+    data.qvel.reshape(objects, 6)[::2, :2] = rng.normal(0, 0.4, (objects, 2))[::2]
+    path, overlap = [data.qpos.reshape(objects, 7)[:, :3].copy()], []
     for _ in range(LOOKS):
         mujoco.mj_step(model, data, nstep=round(1.0 / LOOKS / model.opt.timestep))
         fall = data.qvel.reshape(objects, 6)[:, 2]
         np.maximum(fall, -((2 * 9.81 * FALL) ** 0.5), out=fall)  # what rolls off a shelf falls farther
         path.append(data.qpos.reshape(objects, 7)[:, :3].copy())
+        overlap.append(np.zeros(objects))
+        ball = np.maximum(data.contact.geom1, data.contact.geom2) - (model.ngeom - objects)
+        np.maximum.at(overlap[-1], ball, -data.contact.dist)
     ends = path[-1]
-    extent = reference.vertices[np.unique(reference.triangles)]
+    extent = used(reference.vertices, reference.triangles)
     over = ((ends[:, :2] > extent.min(0)[:2]) & (ends[:, :2] < extent.max(0)[:2])).all(1)
     # An edge that is a few millimetres off lets a ball lie where there should be solid; that is counted as error, not
     # as a leak. Nor is one that is just bouncing: contacts are soft, and it is out again a moment later.
     below = ends[:, 2] < min(ground_z, extent[:, 2].min()) - 2 * RADIUS
     inside = _entered(reference.seen_only(), np.array(path)) > 0
-    for place in path[-SETTLED:]:
-        inside &= reference.buried(place) & (reference.depth(place) > DEEP + noise)
-    inside |= below
-    through = inside & over
-    places = ends[through].round(3).tolist()
-    return {"leaks": len(places), "leak_objects": int(over.sum()), "leak_places": places}
+    held = inside.copy()
+    for place, by in zip(path[-SETTLED:], overlap[-SETTLED:], strict=True):
+        buried = reference.buried(place)
+        inside &= buried & (reference.depth(place) > DEEP + noise)
+        held &= buried & (by > HELD)
+    through, held = (inside | below) & over, held & ~inside & ~below & over
+    counts: dict[str, Any] = {"leaks": int(through.sum()), "held": int(held.sum()), "leak_objects": int(over.sum())}
+    return counts | {"leak_places": ends[through | held].round(3).tolist()}
+
+
+def _on_edges(
+    spec: Any, lower: NDArray[np.float64], upper: NDArray[np.float64], count: int, rng: np.random.Generator
+) -> NDArray[np.float64]:
+    """(count, 2) places on edges of the geoms in a rectangle; none where there are no edges, or are everywhere."""
+    import mujoco
+
+    if any(geom.type == mujoco.mjtGeom.mjGEOM_HFIELD for geom in spec.geoms):
+        return np.zeros((0, 2))
+    vertices, faces = triangles_of(spec)
+    faces = faces[across(vertices, faces)[:, 2] > 0]
+    faces = faces[:: 1 + len(faces) // MOST_EDGES]
+    ends = vertices[faces[:, [0, 1, 1, 2, 2, 0]], :2].reshape(-1, 2, 2)
+    ends = ends[((ends > lower) & (ends < upper)).all((1, 2))]
+    length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    if not length.any():
+        return np.zeros((0, 2))
+    start, end = ends[rng.choice(len(ends), count, p=length / length.sum())].transpose(1, 0, 2)
+    return np.asarray(start + rng.random((count, 1)) * (end - start))
 
 
 def _entered(surface: Reference, path: NDArray[np.float64]) -> NDArray[np.int64]:
