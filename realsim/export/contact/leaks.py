@@ -72,8 +72,10 @@ def count_leaks(
         np.maximum(fall, -((2 * 9.81 * FALL) ** 0.5), out=fall)  # what rolls off a shelf falls farther
         path.append(data.qpos.reshape(objects, 7)[:, :3].copy())
         overlap.append(np.zeros(objects))
-        ball = np.maximum(data.contact.geom1, data.contact.geom2) - (model.ngeom - objects)
-        np.maximum.at(overlap[-1], ball, -data.contact.dist)
+        one, other = np.sort([data.contact.geom1, data.contact.geom2], axis=0)
+        of_part = model.geom_type[one] != int(mujoco.mjtGeom.mjGEOM_HFIELD)  # its cells at a step overlap a ball
+        ball = other[of_part] - (model.ngeom - objects)
+        np.maximum.at(overlap[-1], ball, -data.contact.dist[of_part])
     ends = path[-1]
     extent = used(reference.vertices, reference.triangles)
     over = ((ends[:, :2] > extent.min(0)[:2]) & (ends[:, :2] < extent.max(0)[:2])).all(1)
