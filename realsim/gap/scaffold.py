@@ -21,14 +21,15 @@ TO_DO = """# What is left to do
 |---|---|---|
 | time | (T,) | s |
 | command | (T, {nu}) | as log.json's command_kind |
-| joint_pos | (T, {nj}) | rad (m for slides) |
-| joint_vel, joint_torque | (T, {nj}) | rad/s, N m; optional |
-{base}| imu_gyro, imu_acc | (T, 3) | rad/s, m/s^2 with gravity; optional, at imu_site |
+{signals}| imu_gyro, imu_acc | (T, 3) | rad/s, m/s^2 with gravity; optional, at imu_site |
 
-In .csv files the columns are `time`, `command_ACTUATOR`, `joint_pos_JOINT`, ...: here `{first}`.
+In .csv files the columns are an array's name and whose it is: `{first}`.
 Other names and units go into columns.json. All of it is explained in docs/diagnose.md of realsim.
 """
-BASE = "| base_pos, base_quat | (T, 3), (T, 4) | m, w x y z; optional |\n"
+JOINTS = """| joint_pos | (T, {nj}) | rad (m for slides) |
+| joint_vel, joint_torque | (T, {nj}) | rad/s, N m; optional |
+"""
+BASE = "| base_pos, base_quat | (T, 3), (T, 4) | m, w x y z{optional} |\n"
 
 
 def start_case(model_xml: Path, out: Path, *, overwrite: bool = False) -> Path:
@@ -43,7 +44,7 @@ def start_case(model_xml: Path, out: Path, *, overwrite: bool = False) -> Path:
         `out`.
 
     Raises:
-        GapError: the model cannot be read, or has no joint with an actuator.
+        GapError: the model cannot be read, or has joints and none with an actuator.
     """
     import mujoco
 
@@ -58,7 +59,8 @@ def start_case(model_xml: Path, out: Path, *, overwrite: bool = False) -> Path:
     if not all(target.actuators):
         expected = "names, by which a log refers to it"
         raise GapError("an actuator of the model has no name", file=model_xml, expected=expected)
-    if not target.joints or not any(target.driven):
+    whole = not target.joints  # a body that flies or rolls as a whole
+    if not (whole or any(target.driven)):
         raise GapError(
             "the model has no driven joint",
             file=model_xml,
@@ -76,17 +78,16 @@ def start_case(model_xml: Path, out: Path, *, overwrite: bool = False) -> Path:
         "contact_bodies": [],
         "notes": f"made from {Path(model_xml).name}; see README.md",
     }
-    first = f"time,command_{target.actuators[0]},joint_pos_{target.joints[0]}"
+    first = f"time,command_{target.actuators[0]},{'base_pos_x' if whole else f'joint_pos_{target.joints[0]}'}"
+    signals = "" if whole else JOINTS.format(nj=len(target.joints))
+    signals += BASE.format(optional="" if whole else "; optional") if target.floating else ""
     marks = ("README.md", *MARKS) if _without_runs(Path(out)) else MARKS
     with output_folder(out, overwrite=overwrite, source=Path(model_xml), marks=marks) as folder:
         write_text(folder / "model.xml", text)
         for name in asset_files(spec):
             write_bytes(inside(folder, name), read_bytes(inside(Path(model_xml).parent, name)))
         write_text(folder / "log.json", to_json(log))
-        table = TO_DO.format(
-            folder=out, nu=model.nu, nj=len(target.joints), base=BASE if target.floating else "", first=first
-        )
-        write_text(folder / "README.md", table)
+        write_text(folder / "README.md", TO_DO.format(folder=out, nu=model.nu, signals=signals, first=first))
         (folder / "runs").mkdir()
     return Path(out)
 

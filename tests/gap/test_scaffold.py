@@ -5,6 +5,7 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from realsim.cli.command_line import main
@@ -26,6 +27,23 @@ def test_a_new_case_wants_nothing_but_its_runs(made: Callable[..., Path], tmp_pa
     assert (case.joint_names, case.actuator_names) == (same.joint_names, same.actuator_names)
     assert (case.command_kind, case.base) == (same.command_kind, same.base)
     assert "--check" in (folder / "README.md").read_text()
+
+
+def test_a_body_that_flies_wants_its_pose_and_no_joints(tmp_path: Path) -> None:
+    model = """<mujoco><worldbody><body pos="0 0 1"><freejoint/><geom size="0.1"/><site name="s"/></body></worldbody>
+      <actuator><general name="m1" site="s" gear="0 0 1 0 0 0"/></actuator></mujoco>"""
+    (tmp_path / "drone.xml").write_text(model)
+    folder = start_case(tmp_path / "drone.xml", tmp_path / "case")
+    assert "joint_pos" not in (folder / "README.md").read_text()
+    assert "base_pos_x" in (folder / "README.md").read_text()
+    time = 0.01 * np.arange(200)
+    pose = {"base_pos": np.tile([0.0, 0.0, 1.0], (200, 1)), "base_quat": np.tile([1.0, 0.0, 0.0, 0.0], (200, 1))}
+    np.savez(folder / "runs" / "run_0.npz", time=time, command=np.ones((200, 1)), **pose)
+    case = load_case(folder)
+    assert (case.joint_names, case.actuator_names, case.base) == ((), ("m1",), "floating")
+    (tmp_path / "still.xml").write_text(model.replace("<freejoint/>", '<joint name="hinge"/>'))
+    with pytest.raises(GapError, match="no driven joint"):
+        start_case(tmp_path / "still.xml", tmp_path / "case2")
 
 
 def test_a_case_is_not_made_over_another_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
