@@ -29,7 +29,6 @@ AT_ONCE = 5000
 """Points times parts that are compared at a time, some 0.5 MB; the result does not depend on it."""
 SOME = 8
 """Points that are looked at before the others, where one that is outside decides; the result does not depend on it."""
-APART = 2
 MOST_CORNERS = 64
 """Of one part; colliders on a GPU take no more."""
 
@@ -127,7 +126,7 @@ def merged(parts: list[Polytope], whole: Whole, adds: float = ADDS) -> list[Poly
     """
     out: list[Polytope | None] = list(parts)
     near = Neighbours(parts)
-    tried = np.zeros((len(parts), len(parts)), np.int8)
+    tried = np.zeros((len(parts), len(parts)), bool)
     changed = True
     while changed:
         changed = False
@@ -139,11 +138,10 @@ def merged(parts: list[Polytope], whole: Whole, adds: float = ADDS) -> list[Poly
                 near.update(i, found)
                 changed = True
                 around = near.of(found.lower - adds, found.upper + adds, but=i).tolist()
-                gone = _held(found, {j: other for j in around if (other := out[j]) is not None}, adds)
-                for j in gone:
+                for j in _held(found, {j: other for j in around if (other := out[j]) is not None}, adds):
                     out[j] = None
                     near.update(j, None)
-                tried[i] = tried[:, i] = APART * (tried[[i, *gone]] == APART).any(0)
+                tried[i] = tried[:, i] = False
     return [
         now if now is None or now is old else _cut_back(now, parts, adds) for now, old in zip(out, parts, strict=True)
     ]
@@ -181,12 +179,12 @@ def _cut_back(part: Polytope, pieces: list[Polytope], most: float) -> Polytope:
 
 
 def _partner(
-    parts: list[Polytope | None], near: Neighbours, whole: Whole, i: int, adds: float, tried: NDArray[np.int8]
+    parts: list[Polytope | None], near: Neighbours, whole: Whole, i: int, adds: float, tried: NDArray[np.bool_]
 ) -> Polytope | None:
     """The hull of a part and of one that it meets, if there is one that adds nothing.
 
     Args:
-        tried: (N, N) 1 where two parts as they are have none, APART where nor will they when they have grown.
+        tried: (N, N) where two parts as they are have none.
     """
     one = parts[i]
     assert one is not None
@@ -194,11 +192,9 @@ def _partner(
         other = parts[j]
         if other is None or tried[i, j]:
             continue
-        tried[i, j] = tried[j, i] = 1
+        tried[i, j] = tried[j, i] = True
         halfway = (one.points[:, None] + other.points).reshape(-1, 3) / 2  # most are refused by these, without a hull
-        if not whole.holds(halfway[:: 1 + len(halfway) // 100], 2 * adds):
-            tried[i, j] = tried[j, i] = APART  # a place outside, which a larger hull holds as well
-        else:
+        if whole.holds(halfway[:: 1 + len(halfway) // 100], 2 * adds):
             hull = Polytope(corners_of(one.points, other.points))  # boxes are recognised when all are merged
             if len(hull.points) <= MOST_CORNERS and whole.holds_hull(hull, adds, one, other):
                 return hull
