@@ -273,7 +273,7 @@ def _read(
     if delimiter == " ":
         lines = (_BLANKS.sub(" ", line.strip()) for line in lines)
     width = len(_split(head[first], delimiter)) if first < len(head) else 0
-    header = _header(path, head[:first], delimiter, width, unit)
+    header = _header(path, head[:first], delimiter, width, unit, head[first:])
     found = TextTable(path, header is not None)
     if header is None:
         header = [f"column_{k + 1}" for k in range(width)]
@@ -326,11 +326,16 @@ def _rows(path: Path, lines: Iterator[str], delimiter: str, above: int) -> Itera
 
 
 def _header(
-    path: Path, above: Sequence[str], delimiter: str, width: int, unit: Callable[[str], str]
+    path: Path, above: Sequence[str], delimiter: str, width: int, unit: Callable[[str], str], body: Sequence[str]
 ) -> list[str] | None:
     """Names of the columns from the lines above the numbers of as many cells: the last, with a line of units; of
     several levels (`q,q,tau` above `hip,knee,hip`) all that it takes to tell the columns apart."""
     rows = [_split(line.lstrip("# "), delimiter) for line in above]
+    below = [row for line in body if len(row := _split(line, delimiter)) == width]
+    if below and all(line.lstrip().startswith('"') for line in body if line.strip()):  # R names the rows too
+        rows = [["", *row] if len(row) == width - 1 else row for row in rows]
+    elif below and not any(row[-1].strip() for row in below):  # each row ends in what parts cells
+        rows = [[*row, ""] if len(row) == width - 1 else row for row in rows]
     # LabVIEW heads a last column of comments, which most rows do not have.
     rows = [row[:-1] if len(row) == width + 1 and row[-1].strip().lower() in ("", "comment") else row for row in rows]
     rows = [[c.strip() for c in row] for row in rows if len(row) == width or not width]

@@ -83,9 +83,28 @@ def position(e: Evidence) -> None:
     narrow = _narrow(e.target)
     beyond = _within(ranges, names, values * signs)
     nameless = not source.role and "joint_pos" not in e.chosen
-    e.settle("joint_pos", source, columns, names, [f"by {source.why}", how, why, *turned, beyond, narrow],
+    rivals = _rivals(e, source, dict(zip(names, columns, strict=True)), found)
+    e.settle("joint_pos", source, columns, names, [f"by {source.why}", how, why, *turned, beyond, narrow, rivals],
              scale=sizes * signs, offset=offset, unit=unit,
-             doubtful=doubtful or nameless or bool(narrow or beyond))  # fmt: skip
+             doubtful=doubtful or nameless or bool(narrow or beyond or rivals))  # fmt: skip
+
+
+def _rivals(e: Evidence, source: Candidate, taken: Mapping[str, int], found: Sequence[Candidate]) -> str:
+    """Which other fields name joints that are left out, or the same ones in another topic but say something else."""
+    assert e.target is not None
+    time, field = e.of(source)
+    rivals: list[str] = []
+    for other in found:
+        times, beside = e.of(other)
+        named = {joint: k for k, joint in match_joints(beside.labels, e.target.joints).items()}
+        moving = [j for j in named if j in taken and np.nanstd(field.values[:, taken[j]]) > MARGIN]
+        if other.stream != source.stream and moving:
+            values = at(times, beside.values[:, [named[j] for j in moving]], time)
+            same = [alike(field.values[:, taken[j]], values[:, k]) for k, j in enumerate(moving)]
+            rivals += [other.label] if np.median(same) < SAME else []
+        elif set(named) - set(taken):
+            rivals.append(other.label)
+    return f"{', '.join(rivals[:4])} may be the positions, or others of them: check" if rivals else ""
 
 
 def _best_positions(e: Evidence, found: Sequence[Candidate]) -> Candidate | None:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from realsim.core.types import F64
-from realsim.gap.recordings.vocabulary import KINDS, SIGNALS, TIMES, english, plain, time_unit, unit_of
+from realsim.gap.recordings.vocabulary import KINDS, SIDES, SIGNALS, TIMES, english, plain, time_unit, unit_of
 
 JOINTS = ("joint_pos", "joint_vel", "joint_torque")
 ROLES = ("command", "enabled", *JOINTS, "base_pos", "base_quat", "imu_gyro", "imu_acc", "contact", "policy_command")
@@ -142,7 +142,8 @@ def meaning(stream: str, kind: str, member: str) -> tuple[str, str, str]:
         return "", "", ""  # the type is known, and this member is none of these
     unit = unit_of(member) or next((u for name, u in IN_TURNS.items() if name in plain(member)), "")
     above, _, ending = member.rpartition(".")
-    over = set(english(above.rpartition(".")[2])) & {"target", *KINDS} and not set(english(ending)) & set(SIGNALS)
+    over = set(english(above.rpartition(".")[2])) & {"target", *KINDS} or len(plain(ending)) < 2  # Ist.A of Ist.A1
+    over = over and not set(english(ending)) & set(SIGNALS)
     if ending in ("data", "values", "value") or over:
         ending = member  # `position.left_knee`: what it is stands before whose it is
     found = english(ending)
@@ -153,7 +154,8 @@ def meaning(stream: str, kind: str, member: str) -> tuple[str, str, str]:
     asked = sent or "target" in found or {"controller", "output"} <= set(found)
     if not role and (asked or "measured" in found or (unit and len(found) <= 1)):
         role = _BY_UNIT.get(unit, "" if asked or "measured" not in found else "joint_pos")
-    below_sent = is_sent(above.rpartition(".")[2])  # motor_cmd of motor_cmd.q
+    sides = [side for part in above.split(".")[::-1] if (side := set(english(part)) & {*SIDES})]
+    below_sent = bool(sides) and "target" in sides[0]  # motor_cmd of motor_cmd.q
     if (asked and role in ("", *JOINTS)) or (below_sent and role in JOINTS):
         return f"command{_COMMANDS.get(role, '')}", unit, f"the name {member!r}" + (f" in {stream!r}" if sent else "")
     return role, unit, f"the name {member!r}" if role else ""
@@ -218,6 +220,7 @@ def match_joints(labels: Sequence[str], joints: Sequence[str]) -> dict[int, str]
         ways = (
             [j for j in joints if j == label],
             [j for j, w in words.items() if own == w],
+            [j for j, w in words.items() if sorted(own) == sorted(w)],  # `hip left`
             [j for j, w in words.items() if 0 < len(w) < n and own[-len(w) :] == w],
             [j for j, w in words.items() if named and n < len(w) and w[:n] == own],  # `knee` of `knee_pitch`
             [j for j, w in words.items() if named and n < len(w) and w[-n:] == own],  # `pan` of `head_pan`

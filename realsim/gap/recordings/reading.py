@@ -10,6 +10,7 @@ import numpy as np
 from realsim.core.errors import GapError, MissingExtraError, RealsimError
 from realsim.core.files import check_size, read_json
 from realsim.core.progress import track
+from realsim.core.text_table import first_lines
 from realsim.gap.recordings.jumps import unbroken
 from realsim.gap.recordings.names import is_sent, seconds_of
 from realsim.gap.recordings.readers import READERS
@@ -22,9 +23,7 @@ MAX_RUNS = 400
 MAX_BYTES = 64 * 2**30
 AS_A_TABLE = "save it as .csv or .parquet with a column of time and one for each signal (docs/logs.md)"
 
-_SQLITE = "sqlite3 -header -csv {path} 'select * from TABLE' > log.csv (sqlite3 {path} .tables lists the tables)"
 EXPORTS = {
-    **dict.fromkeys((".db", ".sqlite", ".sqlite3"), _SQLITE),
     ".tdms": 'pip install nptdms pandas; python -c "from nptdms import TdmsFile; '
     "TdmsFile('{path}').as_dataframe(time_index=True).to_csv('log.csv')\"",
 }
@@ -60,12 +59,13 @@ def reader_of(path: Path) -> Reader | None:
 
 
 def unknown(path: Path) -> GapError:
-    """The error for what no reader knows."""
+    """The error for what no reader knows; of a text with a line of it."""
+    lines = [line.strip() for line in first_lines(path) if line.strip()] if path.is_file() else []
     return GapError(
         "not a recording that realsim can read",
         file=path,
         expected="; ".join(READERS[name].looks_for for name in READERS),
-        found=path.suffix or "no file ending",
+        found=(path.suffix or "no file ending") + (f", lines as {lines[len(lines) // 2][:120]!r}" if lines else ""),
         hint=EXPORTS.get(path.suffix.lower(), AS_A_TABLE).format(path=path),
     )
 

@@ -117,6 +117,29 @@ def named(stream: Stream, lists: Sequence[Sequence[str]]) -> Stream:
     return replace(stream, fields=fields)
 
 
+def streams(
+    path: Path,
+    columns: Mapping[str, F64],
+    spelled: Mapping[str, Sequence[Any]],
+    notes: list[str],
+    window: Window,
+    name: str = "",
+) -> tuple[Stream, ...]:
+    """The streams of a table of (R,) or (R, K) numbers, beside columns of text or of lists of words."""
+    words = {
+        n: found
+        for n, cells_of in spelled.items()
+        if all(isinstance(c, str) for c in cells_of) and len(set(found := list(map(str.strip, cells_of)))) <= MAX_WIDTH
+    }
+    if fields := a_column_a_joint(columns, words, notes):
+        return (replace(labelled(path, *fields, window), name=name),)
+    lists = [c[0] for c in spelled.values() if isinstance(c[0], list) and c[0] == c[-1]]
+    found_ = [
+        named(s, [x for x in lists if all(isinstance(w, str) for w in x)]) for s in by_topic(path, columns, window)
+    ]
+    return tuple(replace(s, name=f"{name} {s.name}".strip()) for s in found_)
+
+
 def a_column_a_joint(
     columns: Mapping[str, F64], words: Mapping[str, Sequence[str]], notes: list[str]
 ) -> tuple[dict[str, F64], dict[str, F64], list[str]] | None:
@@ -135,6 +158,10 @@ def a_column_a_joint(
         if v.ndim == 1 and set(english(n)) <= {"joint", *_COUNTS} and (v % 1 == 0).all()
     }
     clock = next((n for n, v in columns.items() if n not in ids and v.ndim == 1 and is_clock(n)), "")
+    tags = {n: found for n, found in words.items() if 1 < len(set(found)) <= MAX_WIDTH}
+    both = [" ".join(row) for row in zip(*tags.values(), strict=True)]  # a side and a joint
+    if len(tags) > 1 and max(len(set(found)) for found in tags.values()) < len(set(both)) <= MAX_WIDTH:
+        words = {" ".join(tags): both, **words}
     for place, cells_of in {**words, **ids}.items() if clock else ():
         names, code = np.unique(np.array(cells_of), return_inverse=True)
         each = [np.flatnonzero(code == k) for k in range(len(names))]
@@ -309,6 +336,7 @@ def _by_index(names: Mapping[str, Any]) -> _Groups:
 def _by_place(names: Mapping[str, Any]) -> _Groups:
     """Columns of which every name is a place and the same words of a signal: hip_pos, knee_pos; Knie_ist, Knie_soll."""
     stems: dict[tuple[str, tuple[str, ...], str], dict[str, str]] = {}
+    bare: dict[str, str] = {}
     for name in names:
         topic = name[: name.find("/", 1) + 1] if name.startswith("/") else ""
         parts, unit = english(name[len(topic) :]), split_unit(name)[1]
@@ -316,6 +344,11 @@ def _by_place(names: Mapping[str, Any]) -> _Groups:
         place = "_".join(w for w in parts if w not in SIGNALS)
         if (signal or unit) and place:
             stems.setdefault((topic, signal, unit), {})[place] = name
+        elif place:
+            bare[topic + place] = name
+    for (topic, signal, _), found in list(stems.items()):  # knee_cmd, knee: what is commanded, and what is
+        if "target" in signal and len(found) >= 2 and all(topic + place in bare for place in found):
+            stems.setdefault((topic, ("measured",), ""), {place: bare[topic + place] for place in found})
     return [
         (found, tuple(found), topic + _named("_".join(signal), unit))
         for (topic, signal, unit), found in stems.items()
@@ -339,8 +372,11 @@ def _named(stem: str, unit: str) -> str:
     return f"{stem} [{unit}]".strip() if unit else stem
 
 
-def rows(path: Path, items: Sequence[Mapping[str, Any]], notes: list[str]) -> dict[str, F64]:
-    """Records (JSON objects) as columns; nested objects get dotted names. What is no number is noted."""
+def rows(
+    path: Path, items: Sequence[Mapping[str, Any]], notes: list[str], spelled: dict[str, list[Any]] | None = None
+) -> dict[str, F64]:
+    """Records (JSON objects) as columns; nested objects get dotted names. What is no number is noted, or put into
+    `spelled`."""
     flat = [_flat(item) for item in items]
     names = list(dict.fromkeys(n for row in flat[:200] for n in row))
     found = {}
@@ -351,25 +387,26 @@ def rows(path: Path, items: Sequence[Mapping[str, Any]], notes: list[str]) -> di
             found[name] = column
             if (odd := odd_cell(values, column)) is not None:
                 notes.append(f"{path.name}: {name} has values that are no numbers, the first is {odd[0]!r}")
+        elif spelled is not None:
+            spelled[name] = values
     return found
 
 
 def _flat(item: Mapping[str, Any], place: str = "") -> dict[str, Any]:
     result: dict[str, Any] = {}
     for key, value in item.items():
-        name = f"{place}.{key}" if place else str(key)
+        name = f"{place}.{key}".strip(".")
         if isinstance(value, Mapping):
             result |= _flat(value, name)
         elif isinstance(value, list) and value and all(isinstance(v, Mapping) for v in value):
             parts = [_flat(v) for v in value]
             names = [next((str(p[k]) for k in ("name", "joint", "joint_name") if p.get(k)), "") for p in parts]
             if all(names) and len(set(names)) == len(names):  # in any order
-                result |= {
-                    f"{name}.{n}.{inner}": v for n, p in zip(names, parts, strict=True) for inner, v in p.items()
-                }
+                named_ = zip(names, parts, strict=True)
+                result |= {f"{name}.{n}.{inner}".strip("."): v for n, p in named_ for inner, v in p.items()}
                 continue
             # equal parts, such as motors: every number is a list with one of each
-            result |= {f"{name}.{inner}": [p.get(inner) for p in parts] for inner in parts[0]}
+            result |= {f"{name}.{inner}".strip("."): [p.get(inner) for p in parts] for inner in parts[0]}
         else:
             result[name] = value
     return result

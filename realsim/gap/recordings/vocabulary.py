@@ -79,7 +79,8 @@ _BESIDE_CLOCKS = {
 """Words beside them in names of clocks."""
 _BARE = {t: u for t, u in _UNIT_OF.items() if len(t) > 1}
 """Units that need no bracket: `speed_rpm`; a single letter at the end of a name is a name."""
-_BRACKET = re.compile(r"[\[(]\s*([^\[\]()]*?)\s*[\])]\s*$|(?:\s/\s|\sin\s)\s*(\S+)\s*$")
+_BRACKET = re.compile(r"[\[(]\s*([^\[\]()]*?)\s*[\])]\s*$|(?:\s/\s|\sin\s)\s*(\S+)\s*$|\.\.(\w+(?:\.\w+)?)\.$")
+"""The last as R writes it: `angle (deg/s)` -> `angle..deg.s.`."""
 
 
 def plain(name: str) -> str:
@@ -92,7 +93,7 @@ def plain(name: str) -> str:
 def split_unit(name: str) -> tuple[str, str]:
     """(the name without its unit, the unit or nothing): `q1 [deg]`, `Lage / °`, `speed_rpm`."""
     found = _BRACKET.search(name)
-    text = (found[1] or found[2] or "").lower().replace(" ", "") if found else ""
+    text = (found[1] or found[2] or found[3].replace(".", "/")).lower().replace(" ", "") if found else ""
     if found and text in _UNIT_OF:
         return name[: found.start()].strip(), _UNIT_OF[text]
     parts = re.split(r"[_\s.\-]+", name.strip())

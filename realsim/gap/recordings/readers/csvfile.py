@@ -11,7 +11,7 @@ from realsim.core.errors import GapError
 from realsim.core.text_table import FEW, TextTable, begin, first_lines, read_text_table
 from realsim.core.types import F64
 from realsim.gap.recordings.recording import Reader, Recording, Stream, Window, no_samples, refuse_more
-from realsim.gap.recordings.tables import a_column_a_joint, by_topic, labelled, on_one_clock
+from realsim.gap.recordings.tables import labelled, on_one_clock, streams
 from realsim.gap.recordings.vocabulary import plain, split_unit
 
 _TAG = re.compile(r'[\w.]+\s*[=:]\s*"?([^",}]+)')
@@ -42,15 +42,13 @@ def read(path: Path, window: Window) -> list[Recording]:
         of = {n: columns[names[max(c for c in clocks if c <= k)]] for k, n in enumerate(names) if k not in clocks}
         columns = on_one_clock({n: (t[np.isfinite(t)], columns[n][np.isfinite(t)]) for n, t in of.items()})
     stream = None if found.header else _echoed(path, found, window)
-    if stream is None and (fields := a_column_a_joint(columns, found.words, notes)):
-        stream = labelled(path, *fields, window)
-    streams: tuple[Stream, ...] = () if stream is None else (stream,)
-    if not streams:
-        notes += [f"columns of text left out: {', '.join(dropped[:8])}"] if dropped else []
-        streams = tuple(_called(s, found.words) for s in by_topic(path, columns, window))
+    made = (stream,) if stream else streams(path, columns, found.words, notes, window)
+    dropped = [n for n in dropped if not any(f"({n}" in note for note in notes)]
+    notes += [f"columns of text left out: {', '.join(dropped[:8])}"] if dropped else []
+    made = tuple(_called(s, found.words) for s in made)
     odd = {n: cell for n, (cell, _) in found.odd.items() if n in numbers}
     notes += [f"{path.name}: {n} has values that are no numbers, the first is {c!r}" for n, c in odd.items()]
-    return [Recording(path, path.stem, "csv", streams, notes=tuple(notes))]
+    return [Recording(path, path.stem, "csv", made, notes=tuple(notes))]
 
 
 def _untagged(columns: Mapping[str, F64]) -> dict[str, F64]:
