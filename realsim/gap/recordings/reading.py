@@ -188,6 +188,7 @@ def joined(recordings: Sequence[Recording]) -> list[Recording]:
         halves = [_half(p) for p in parts]
         lone = halves.count("") == 1  # a run's name would be another one in each
         names = [half or ("" if lone else p.name) for half, p in zip(halves, parts, strict=True)]
+        names = names if len(set(names)) == len(names) else [p.name for p in parts]
         streams = tuple(_of_joints(replace(p.streams[0], name=n)) for n, p in zip(names, parts, strict=True))
         files = ", ".join(p.name for p in parts)
         notes = (*(n for p in parts for n in p.notes), f"{files} are taken as one run")

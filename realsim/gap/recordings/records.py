@@ -16,6 +16,7 @@ import sqlite3
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -66,22 +67,24 @@ def parser_of(path: Path) -> Callable[[Path, list[str]], Iterable[Tagged] | dict
         return annotated
     if text.lstrip().startswith("<"):
         tags = Counter(re.findall(r"<(\w[\w.:-]*)(?=[\s>/])", text))
-        return elements if tags and max(tags.values()) >= LEAST and not any(m in tags for m in _MODELS) else None
+        first = next(iter(tags), "")
+        document = first in _MODELS and tags[first] == 1
+        return elements if max(tags.values(), default=0) >= LEAST and not document else None
     lines = text.splitlines()[: -1 if len(data) == HEAD else None]
     if sum(line.rstrip() == "---" for line in lines) >= LEAST or _in_braces(lines):
         return blocks
-    declared = columns_of_tags(lines)
-    found = Counter((made[0], *made[1]) for line in lines if (made := _record(line, declared)))
+    names_of = names_in(lines)
+    found = Counter((made[0], *made[1]) for line in lines if (made := _record(line, names_of)))
     return named_lines if max(found.values(), default=0) >= LEAST else None
 
 
 def named_lines(path: Path, notes: list[str]) -> Iterator[Tagged]:
     """A record a line."""
-    declared = columns_of_tags(read_head(path, HEAD).decode("utf-8-sig", errors="replace").splitlines())
+    names_of = names_in(read_head(path, HEAD).decode("utf-8-sig", errors="replace").splitlines())
     left = 0
     with path.open(encoding="utf-8-sig", errors="replace") as file:
         for line in file:
-            found = _record(line, declared)
+            found = _record(line, names_of)
             left += found is None and bool(line.strip())
             if found is not None:
                 yield found
@@ -89,16 +92,20 @@ def named_lines(path: Path, notes: list[str]) -> Iterator[Tagged]:
         notes.append(f"{path.name}: {left} lines without names and numbers are left out")
 
 
-def columns_of_tags(lines: Sequence[str]) -> dict[str, list[str]]:
-    """Tag that lines of cells begin with -> names of their other cells, where another line ends in as many."""
-    rows = Counter((c[0], len(c) - 1) for line in lines if (c := _cells(line)) and _WORD.fullmatch(c[0]))
-    found: dict[str, list[str]] = {}
+def names_in(lines: Sequence[str]) -> Callable[[str, int], list[str]]:
+    """(word that a line of cells begins with, count of its other cells) -> names of these, where one of `lines` has
+    that word and ends in as many names; else nothing."""
     heads = [re.findall(r"[^\s,;:#\"]+", line) for line in lines]
-    for (tag, width), count in rows.items():
-        head = next((h for h in heads if tag in h[:-width] and len(set(h[-width:])) == width), []) if count > 1 else []
-        if width > 1 and head and all(number(n) is None for n in head[-width:]):
-            found[tag] = head[-width:]
-    return found
+
+    @lru_cache(maxsize=1000)
+    def find(tag: str, width: int) -> list[str]:
+        for head in heads if width > 1 else ():
+            names = head[-width:]
+            if tag in head[:-width] and len(set(names)) == width and all(number(n) is None for n in names):
+                return names
+        return []
+
+    return find
 
 
 def _cells(line: str) -> list[str]:
@@ -107,19 +114,19 @@ def _cells(line: str) -> list[str]:
     return cells if sum(number(c or "x") is not None for c in cells) >= 2 else []
 
 
-def _record(line: str, declared: Mapping[str, Sequence[str]]) -> Tagged | None:
+def _record(line: str, names_of: Callable[[str, int], list[str]]) -> Tagged | None:
     """(words, name -> text, or list of texts) of a line that names at least one of two numbers in it."""
-    if declared and (cells := _cells(line)) and len(declared.get(cells[0], ())) == len(cells) - 1:
-        return cells[0], dict(zip(declared[cells[0]], cells[1:], strict=True))
+    if (cells := _cells(line)) and _WORD.fullmatch(cells[0]) and (listed := names_of(cells[0], len(cells) - 1)):
+        return cells[0], dict(zip(listed, cells[1:], strict=True))
     pairs: list[tuple[str, Any, bool]] = []
     gaps: list[str] = []
     end = 0
     for match in _PAIR.finditer(line):
-        name, other, listed, one, unit, quoted, word = match.groups()
-        values = re.split(r"[,\s]+", listed or one or "")
-        value: Any = values if listed or len(values) > 1 else one or quoted or word
+        name, other, several, one, unit, quoted, word = match.groups()
+        values = re.split(r"[,\s]+", several or one or "")
+        value: Any = values if several or len(values) > 1 else one or quoted or word
         name = (name or other).strip()
-        pairs.append((f"{name} [{unit}]" if unit else name, value, bool(listed or one)))
+        pairs.append((f"{name} [{unit}]" if unit else name, value, bool(several or one)))
         gaps.append(line[end : match.start()])
         end = match.end()
     if not pairs:

@@ -93,7 +93,7 @@ def plain(name: str) -> str:
 def split_unit(name: str) -> tuple[str, str]:
     """(the name without its unit, the unit or nothing): `q1 [deg]`, `Lage / °`, `speed_rpm`."""
     found = _BRACKET.search(name)
-    text = (found[1] or found[2] or found[3].replace(".", "/")).lower().replace(" ", "") if found else ""
+    text = (found[1] or found[2] or (found[3] or "").replace(".", "/")).lower().replace(" ", "") if found else ""
     if found and text in _UNIT_OF:
         return name[: found.start()].strip(), _UNIT_OF[text]
     parts = re.split(r"[_\s.\-]+", name.strip())

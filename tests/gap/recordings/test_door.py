@@ -440,10 +440,10 @@ def test_errors_about_a_text_keep_their_own_way_out(arm: Log, tmp_path: Path) ->
     path.write_text("\n".join(path.read_text().splitlines()[1:]))
     found = propose([replace(r, facts={"rate": 100}) for r in read(path)], load_target(save(tmp_path, ARM)))
     assert found.complete or "column_1" in " ".join(found.missing)
-    (tmp_path / "a.sqlite").write_bytes(b"SQLite format 3\0")
+    (tmp_path / "a.tdms").write_bytes(b"TDSm\0")
     with pytest.raises(GapError) as caught:
-        read(tmp_path / "a.sqlite")
-    assert "sqlite3 -header" in str(caught.value.hint)
+        read(tmp_path / "a.tdms")
+    assert "nptdms" in str(caught.value.hint)
 
 
 def test_a_file_a_motor_is_one_run_where_their_clock_says_so(arm: Log, tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 import sqlite3
 from collections.abc import Callable, Iterator
 from contextlib import closing
-from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -20,23 +19,29 @@ Rows = Iterator[tuple[float, list[float], list[float]]]
 
 def block(t: float, pos: list[float], sent: list[float], split: bool) -> list[str]:
     """As Protobuf prints a message."""
+    seconds, rest = divmod(round(1e6 * t), 10**6)
     parts = [
-        [
-            "feedback {",
-            *(f"  joints: {x:.6f}" for x in pos),
-            f"  time {{ sec: {t // 1:.0f} usec: {1e6 * (t % 1):.0f} }}",
-        ]
+        line
+        for k in (1, 0)
+        for line in ("joint {", f'  name: "{JOINTS[k]}"', f"  feedback: {pos[k]:.6f} planned: {sent[k]:.6f}", "}")
     ]
-    parts.append(["}", "planned {", *(f"  joints: {x:.6f}" for x in sent), "}", *(["---"] if split else [])])
-    return list(chain(*parts))
+    return ["header {", f"  time {{ sec: {seconds} usec: {rest} }}", "}", *parts, *(["---"] if split else [])]
 
 
 def echo(t: float, pos: list[float], sent: list[float]) -> list[str]:
     """As `ros2 topic echo` prints a message."""
-    head = ["header:", "  stamp:", f"    sec: {t // 1:.0f}", f"    nanosec: {1e9 * (t % 1):.0f}", "joint_names:"]
-    lists = [["reference:", "  positions:", *(f"  - {x:.6f}" for x in sent)]]
-    lists.append(["feedback:", "  positions:", *(f"  - {x:.6f}" for x in pos), "---"])
-    return [*head, *(f"- {j}" for j in JOINTS), *chain(*lists)]
+    seconds, rest = divmod(round(1e6 * t), 10**6)
+    head = ["header:", "  stamp:", f"    sec: {seconds}", f"    nanosec: {1000 * rest}", "joint_names:"]
+    lists = ["reference:", "  positions:", *(f"  - {x:.6f}" for x in sent)]
+    return [
+        *head,
+        *(f"- {j}" for j in JOINTS),
+        *lists,
+        "feedback:",
+        "  positions:",
+        *(f"  - {x:.6f}" for x in pos),
+        "---",
+    ]
 
 
 LINES: dict[str, Callable[[Rows], list[str]]] = {
@@ -50,7 +55,7 @@ LINES: dict[str, Callable[[Rows], list[str]]] = {
     "line protocol": lambda rows: [
         "# DML",
         *(
-            f"{kind},host=a,joint={j} pos={x[k]:.6f},ok=true,temp=31i {1e9 * (t + 1.7e9) + 1e5 * k:.0f}"
+            f"{kind},host=a,joint={j} pos={x[k]:.6f},ok=true,temp=31i {1e9 * (t + 1.7e9):.0f}"
             for t, q, u in rows
             for kind, x in (("motor", q), ("setpoint", u))
             for k, j in enumerate(JOINTS)
@@ -132,8 +137,12 @@ def test_another_topic_that_names_the_joints_puts_them_in_doubt(arm: Log, tmp_pa
         lines = []
         for kind, values in (("GIM", arm.pos), ("VEH", other)):
             rows = zip(arm.time, values, arm.command, strict=True)
-            lines += [f"{kind}, {t:.4f}, {q[0]}, {q[1]}, {u[0]}, {u[1]}" for t, q, u in rows]
-        heads = ["# GIM: t,shoulder,elbow,des_shoulder,des_elbow", "# VEH: t,shoulder,elbow,des_shoulder,des_elbow"]
+            more = ", 0.1, 0.1" if kind == "VEH" else ""
+            lines += [f"{kind}, {t:.4f}, {q[0]}, {q[1]}, {u[0]}, {u[1]}{more}" for t, q, u in rows]
+        heads = [
+            "# GIM: t,shoulder,elbow,des_shoulder,des_elbow",
+            "# VEH: t,shoulder,elbow,des_shoulder,des_elbow,wheel,des_wheel",
+        ]
         (tmp_path / "a.log").write_text("\n".join([*heads, *lines]))
         found = propose(read(tmp_path / "a.log"), load_target(save(tmp_path, ARM)))
         assert found.assignments["joint_pos"].doubtful == (other is not arm.pos), found.render()
