@@ -96,7 +96,7 @@ def _rivals(e: Evidence, source: Candidate, taken: Mapping[str, int], found: Seq
     rivals: list[str] = []
     for other in found:
         times, beside = e.of(other)
-        named = {joint: k for k, joint in match_joints(beside.labels, e.target.joints).items()}
+        named = {joint: k for k, joint in match_joints(beside.labels or beside.columns, e.target.joints).items()}
         moving = [j for j in named if j in taken and np.nanstd(field.values[:, taken[j]]) > MARGIN]
         if other.stream != source.stream and moving:
             values = at(times, beside.values[:, [named[j] for j in moving]], time)
