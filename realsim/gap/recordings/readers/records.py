@@ -11,7 +11,16 @@ from typing import Any
 
 from realsim.core.errors import GapError
 from realsim.core.files import check_size, read_json
-from realsim.gap.recordings.recording import Reader, Recording, Window, facts_of, first_line, no_samples, refuse_more
+from realsim.gap.recordings.recording import (
+    Reader,
+    Recording,
+    Stream,
+    Window,
+    facts_of,
+    first_line,
+    no_samples,
+    refuse_more,
+)
 from realsim.gap.recordings.records import LEAST, Tagged, parser_of
 from realsim.gap.recordings.tables import LEAST_CLOCK, rows, streams, table
 from realsim.gap.recordings.vocabulary import KINDS, SIDES, english
@@ -57,7 +66,7 @@ def read(path: Path, window: Window) -> list[Recording]:
     kinds = _kinds(path, found, notes, alike=not suffix.startswith((".json", ".ndjson")))
     if not kinds:
         raise no_samples(path, "a list of objects, one a sample", notes=notes)
-    made = []
+    made: list[Stream] = []
     for topic, part in kinds.items():
         spelled: dict[str, list[Any]] = {}
         columns = rows(path, part, notes, spelled)
@@ -150,7 +159,7 @@ def _lines(path: Path, notes: list[str]) -> Iterator[Mapping[str, Any]]:
 def _longest(value: Any) -> dict[str, list[Mapping[str, Any]]]:
     """The longest list of objects in a JSON value, and those beside it; columns as lists are turned into rows."""
     if isinstance(value, list):
-        return {"": found} if (found := [v for v in value if isinstance(v, Mapping)]) else {}
+        return {"": objects} if (objects := [v for v in value if isinstance(v, Mapping)]) else {}
     if not isinstance(value, Mapping):
         return {}
     inner = {k: found for k, v in value.items() if isinstance(v, (list, Mapping)) and (found := _longest(v))}
