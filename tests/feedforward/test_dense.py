@@ -13,7 +13,7 @@ from realsim.feedforward.rgbd import keyframes
 from realsim.feedforward.rgbd.features import Evidence, build_tracks
 from realsim.feedforward.rgbd.localize import Landmarks, localize
 
-N = 12
+N = 16
 TRUTH = rooms.path(N, step=0.02)
 
 
