@@ -69,7 +69,7 @@ def contact_mesh(
     hidden = hidden_cm2(terrain, files.scene_xml, ground, files.contact.get("noise_m", 0.0))
     if hidden and set(files.contact["geoms"]) == {"plane"}:
         raise _under_the_ground(mesh, ground, f"{hidden:.0f} cm2 of its surface below")
-    contact = dict(files.contact) | {"mesh": mesh.name, "ground_z": ground.z, "ground": ground.said}
+    contact = dict(files.contact) | {"mesh": mesh.name, "ground_z": ground.z, "ground": ground.description}
     contact |= {"hidden_cm2": hidden, "mended": list(made.notes), "up": made.up.axis}
     contact |= {"origin_m": made.origin.tolist(), "question": made.question}
     contact["missing_area_cm2"] = round(contact["missing_area_cm2"] + hidden, 2)
@@ -112,8 +112,8 @@ def contact_verdict(contact: Mapping[str, Any], tolerance: tuple[float, float]) 
     if contact.get("held"):
         look.append(f"{contact['held']} of {contact['leak_objects']} balls thrown onto it stay between parts.")
     if contact["hidden_cm2"]:
-        said = bad if contact["hidden_cm2"] > 1e4 * PIT_AREA else look
-        said.append(f"{contact['hidden_cm2']:.0f} cm2 of the mesh lie below the ground and are not in the scene.")
+        lines = bad if contact["hidden_cm2"] > 1e4 * PIT_AREA else look
+        lines.append(f"{contact['hidden_cm2']:.0f} cm2 of the mesh lie below the ground and are not in the scene.")
         todo.append("leave out --ground-z, or give the height at which the mesh stands")
     for name, found, most in zip(("median", "p95"), (contact["median_mm"], contact["p95_mm"]), tolerance, strict=True):
         if not found <= 1000 * most:
@@ -125,8 +125,8 @@ def contact_verdict(contact: Mapping[str, Any], tolerance: tuple[float, float]) 
         look.append(f"{contact['free_sides_cm2']:.0f} cm2 of a part's sides stand in free air, about ({where}).")
     off = [(name, share, check, reject) for name, share, check, reject in shares(contact) if not share <= check]
     for name, share, check, reject in off:
-        most, said = (check, look) if share <= reject else (reject, bad)
-        said.append(f"{name}: {share:.1%}, above the limit of {most:.0%}.")
+        most, lines = (check, look) if share <= reject else (reject, bad)
+        lines.append(f"{name}: {share:.1%}, above the limit of {most:.0%}.")
     if off or len(look) > bool(contact.get("question")):
         todo.append("look at contact.png, and try another --contact or a finer --hfield-resolution")
     level = "bad" if bad else "look" if look else "good"

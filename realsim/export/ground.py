@@ -30,7 +30,7 @@ class GroundLevel:
     """Metres."""
     slab: bool
     """Whether it is the top of a slab, whose sides then lie below the ground."""
-    said: str
+    description: str
     """Both for the user, to go after "the ground was taken to be"."""
 
 
@@ -57,11 +57,11 @@ def ground_level(mesh: TerrainMesh) -> GroundLevel:
     around = carries and bool(np.mean(np.abs(top - level) <= LEVEL) > 0.9)
     if around and sides <= SLAB * area:
         thick = 100 * float(np.median(level - bottom))
-        said = f"at z = {level:.3f} m, the top of a slab of {thick:.0f} cm"
-        return GroundLevel(level, True, f"{said}; if the slab itself is terrain, pass --ground-z {lowest:.3f}")
-    said = f"at z = {lowest:.3f} m, the lowest point: the mesh has no floor of its own"
+        description = f"at z = {level:.3f} m, the top of a slab of {thick:.0f} cm"
+        return GroundLevel(level, True, f"{description}; if the slab itself is terrain, pass --ground-z {lowest:.3f}")
+    description = f"at z = {lowest:.3f} m, the lowest point: the mesh has no floor of its own"
     return GroundLevel(
-        lowest, False, said + f"; if its floor is at {level:.3f} m, pass --ground-z {level:.3f}" * around
+        lowest, False, description + f"; if its floor is at {level:.3f} m, pass --ground-z {level:.3f}" * around
     )
 
 

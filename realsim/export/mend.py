@@ -130,8 +130,8 @@ def read_mesh(path: Path, unit: str | None = None, up: str = "auto") -> MeshFile
             error.message, file=path, expected=error.expected, found=error.found, hint=error.hint
         ) from error
     notes = [*found.notes, *notes, *mended.notes]
-    asked = [found.question, None if unit or origin.any() else _ask_unit(mended.terrain.vertices)]
-    question = " ".join(filter(None, asked)) or None
+    questions = [found.question, None if unit or origin.any() else _ask_unit(mended.terrain.vertices)]
+    question = " ".join(filter(None, questions)) or None
     return MeshFile(mended.terrain, tuple(notes), mended.solids, mended.rest, origin, found, question)
 
 

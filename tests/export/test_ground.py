@@ -64,7 +64,7 @@ def stl(path: Path, solid: Manifold) -> Path:
 def test_what_has_no_floor_stands_on_its_lowest_point(name: str, lift: float) -> None:
     found = ground_level(mended(WITHOUT[name].translate([0.2, 0, lift])))
     assert found.z == pytest.approx(lift, abs=1e-6)
-    assert "no floor of its own" in found.said
+    assert "no floor of its own" in found.description
 
 
 def test_a_box_without_a_bottom_too() -> None:
@@ -89,8 +89,8 @@ def test_a_sheet_of_floor_is_the_ground_though_solids_reach_below(name: str) -> 
 def test_a_slab_under_what_stands_on_it_is_a_floor(name: str) -> None:
     found = ground_level(mended(SLABS[name]))
     assert (found.z, found.slab) == (pytest.approx(0.0, abs=1e-6), True)
-    assert f"slab of {name}" in found.said
-    assert "--ground-z" in found.said
+    assert f"slab of {name}" in found.description
+    assert "--ground-z" in found.description
 
 
 def test_a_noisy_scan_keeps_its_floor() -> None:

@@ -208,13 +208,13 @@ def _unmet(contact: ContactModel, fidelity: Fidelity, tolerance: tuple[float, fl
         f"collision geometry ({contact.representation}{least}) is off by {f['median_mm']:.1f} mm (median), "
         f"{f['p95_mm']:.1f} mm (p95), {f['phantom_over_gaps_cm2']:.0f} cm2 phantom over gaps, "
         f"{f['free_sides_cm2']:.0f} cm2 of a part's sides in free air, "
-        f"{f['leaks']} leak{'s' * (f['leaks'] != 1)}, {said_of_shares(fidelity)}; "
+        f"{f['leaks']} leak{'s' * (f['leaks'] != 1)}, {describe_shares(fidelity)}; "
         f"limits: {tolerance[0] * 1000:g} mm median, {tolerance[1] * 1000:g} mm p95, no "
         f"phantom over gaps, {FREE:g} cm2 in free air, no leak, {OFF:.0%} of heights and of rays"
     )
 
 
-def said_of_shares(fidelity: Fidelity) -> str:
+def describe_shares(fidelity: Fidelity) -> str:
     """Shares of heights and of rays from the side that are off, in words."""
     heights, sides = fidelity.off
     rays = fidelity.figures["sides"]

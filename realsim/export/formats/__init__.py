@@ -73,7 +73,7 @@ def export_scene(scene: Path, to: str | Sequence[str], out: Path | None = None, 
 
     Raises:
         UnknownNameError: no such format, before anything is written.
-        MissingExtraError: a format that was asked for by name needs a package that is not installed.
+        MissingExtraError: a format requested by name needs a package that is not installed.
         RealsimError: no scene there, a format that is there already, or a file cannot be written.
     """
     names = [to] if isinstance(to, str) else list(to)
