@@ -339,12 +339,12 @@ def _header(
     # LabVIEW heads a last column of comments, which most rows do not have.
     rows = [row[:-1] if len(row) == width + 1 and row[-1].strip().lower() in ("", "comment") else row for row in rows]
     rows = [[c.strip() for c in row] for row in rows if len(row) == width or not width]
-    said = [{c.partition(":")[0].lower() if ":" in c else "" for c in row if c} for row in rows]
+    kinds = [{c.partition(":")[0].lower() if ":" in c else "" for c in row if c} for row in rows]
     # `Unit: deg` under each name, as MATLAB's Simulation Data Inspector exports them, beside such rows of other facts
-    facts = [len(found) == 1 and "" not in found and k > 0 for k, found in enumerate(said)]
+    facts = [len(found) == 1 and "" not in found and k > 0 for k, found in enumerate(kinds)]
     rows = [
         [c.partition(":")[2].strip() for c in row] if fact else row
-        for row, found, fact in zip(rows, said, facts, strict=True)
+        for row, found, fact in zip(rows, kinds, facts, strict=True)
         if not fact or found & {"unit", "units"}
     ]
     if not rows:

@@ -15,7 +15,7 @@ from realsim.gap.answer.diagnosis import Diagnosis
 from realsim.gap.answer.leaveout import better, discrepancy, leave_out
 from realsim.gap.inference.causes.fit import Cause, Fit, Fitter
 from realsim.gap.inference.causes.fitted import leftover
-from realsim.gap.inference.causes.score import asked
+from realsim.gap.inference.causes.score import least_gain
 from realsim.gap.inference.causes.select import Selection
 from realsim.gap.inference.likelihood.comparison import Comparison
 from realsim.gap.inference.likelihood.screen import Screen
@@ -285,5 +285,5 @@ def test_noise_asks_nothing_of_a_further_cause(fitter: Fitter) -> None:
     part = fitter.looked_at(nothing, [cause(fitter, "coulomb_friction", 0.3)])
     assert whole is not None
     assert part is not None
-    assert asked(fitter, whole) == asked(fitter, nothing) == figures.CLEARLY
-    assert asked(fitter, part) > max(figures.CLEARLY, 0.8 * figures.SHARE * part.misfit)
+    assert least_gain(fitter, whole) == least_gain(fitter, nothing) == figures.CLEARLY
+    assert least_gain(fitter, part) > max(figures.CLEARLY, 0.8 * figures.SHARE * part.misfit)

@@ -15,7 +15,7 @@ from realsim.gap.inference.causes.fit import Cause, Fitter
 from realsim.gap.inference.causes.fitted import at_an_end, at_bound, leftover
 from realsim.gap.inference.causes.gauss_newton import Rough
 from realsim.gap.inference.causes.proposals import by_slopes, ranked
-from realsim.gap.inference.causes.score import asked, doubts, score, searched
+from realsim.gap.inference.causes.score import doubts, least_gain, score, searched
 from realsim.gap.inference.causes.search import Search
 from realsim.gap.inference.causes.windows import _best_window
 from realsim.gap.simulation.cores import Recent
@@ -148,11 +148,11 @@ def test_a_cause_on_feet_takes_its_share_of_all(
     known = fitter.under(gap=gap)
     monkeypatch.setattr(screen.simulator.context, "touches", touches)
     nothing = replace(fitter.nominal(), misfit=1000.0)
-    assert asked(known, nothing) == max(0.0 if gap else CLEARLY, 1000.0 * share)
+    assert least_gain(known, nothing) == max(0.0 if gap else CLEARLY, 1000.0 * share)
     found = fitter.fit([_cause(fitter, "motor_gain", -0.2)])
     assert found is not None
     assert leftover(screen, found).mean() < 1  # beside the right cause noise stays, and feet
-    assert asked(known, replace(found, misfit=1000.0)) == max(CLEARLY, 1000.0 * SHARE * touches)
+    assert least_gain(known, replace(found, misfit=1000.0)) == max(CLEARLY, 1000.0 * SHARE * touches)
 
 
 def test_a_first_cause_on_feet_holds_on_runs_left_out(fitter: Fitter, monkeypatch) -> None:

@@ -133,8 +133,8 @@ def gyroscope(e: Evidence) -> None:
         if abs(corr) > 0.5:
             ratio = factor(read[:, axis], rate[:, axis])
             unit, sign = nearest_unit(ratio, TURNING), float(np.sign(ratio))
-            said = f"against the orientation's change: correlation {corr:.2f}, factor {ratio:.3g} -> {unit}"
-            evidence.append(said + (", negated" if sign < 0 else ""))
+            text = f"against the orientation's change: correlation {corr:.2f}, factor {ratio:.3g} -> {unit}"
+            evidence.append(text + (", negated" if sign < 0 else ""))
     scale = TURNING.get(unit, 1.0)
     largest = float(np.nanmax(np.abs(values))) * scale
     if largest > 60:
@@ -180,8 +180,8 @@ def contact(e: Evidence) -> None:
     if (flat < threshold).mean() < 0.01:
         e.warn(f"{source.label}: no foot is ever lifted: left out")
         return
-    said = f"a force: a foot stands above {threshold:.4g}, {LIFTED:.0%} of the 90th percentile"
-    e.settle("contact", source, range(len(bodies)), bodies, [f"by {source.why}", how, said],
+    text = f"a force: a foot stands above {threshold:.4g}, {LIFTED:.0%} of the 90th percentile"
+    e.settle("contact", source, range(len(bodies)), bodies, [f"by {source.why}", how, text],
              unit="sensor units", threshold=threshold, doubtful=True)  # fmt: skip
 
 
@@ -214,9 +214,9 @@ def _has_site(e: Evidence, source: Candidate) -> bool:
     if e.target is None:
         return True
     if not e.target.imu_site:
-        said = f'{source.label}: the model has no IMU site; add <site name="imu"/> to the body that carries it'
-        if said not in e.proposal.missing:
-            e.proposal.missing.append(said)
+        text = f'{source.label}: the model has no IMU site; add <site name="imu"/> to the body that carries it'
+        if text not in e.proposal.missing:
+            e.proposal.missing.append(text)
         return False
     e.proposal.imu_site = e.target.imu_site
     return True

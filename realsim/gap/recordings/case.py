@@ -59,7 +59,7 @@ def write_case(
             "the model has no actuators", file=target.path, expected="the robot's servos",
             hint="realsim log ... --servos KP KD (N m/rad, N m s/rad) gives each joint one; a URDF has none",
         )  # fmt: skip
-    said: list[str] = []
+    remarks: list[str] = []
     with output_folder(Path(out), overwrite=overwrite, source=proposal.recordings[0].path) as work:
         (work / "runs").mkdir()
         written: dict[str, int] = {}
@@ -67,7 +67,7 @@ def write_case(
             try:
                 run = run_arrays(proposal, recording)
             except GapError as error:
-                said.append(f"{recording.name} is left out: {error.message}")
+                remarks.append(f"{recording.name} is left out: {error.message}")
                 continue
             name = _unique(plain(recording.name) or "run", written)
             buffer = io.BytesIO()
@@ -77,16 +77,16 @@ def write_case(
             if proposal.depth is not None:
                 folder = work / "runs" / f"{name}_depth"
                 notes += write_frames(proposal.depth, recording, run.frames, run.span, folder)
-            said += [f"{name}: {n}" for n in notes]
+            remarks += [f"{name}: {n}" for n in notes]
         if not written:
-            raise GapError("no run can be written", file=proposal.recordings[0].path, found="; ".join(said[:4]))
-        log = _log(proposal, said)
+            raise GapError("no run can be written", file=proposal.recordings[0].path, found="; ".join(remarks[:4]))
+        log = _log(proposal, remarks)
         if proposal.depth is not None and any((work / "runs").glob("*_depth")):
             log["depth_camera"] = proposal.depth.as_dict()
-            said += proposal.depth.doubts()
+            remarks += proposal.depth.doubts()
         write_text(work / "log.json", to_json(log))
-        write_text(work / "proposal.json", to_json(proposal.as_dict() | {"runs_said": said}))
-        write_text(work / "log.html", recording_page(proposal, target, said))
+        write_text(work / "proposal.json", to_json(proposal.as_dict() | {"runs_said": remarks}))
+        write_text(work / "log.html", recording_page(proposal, target, remarks))
         _write_model(target, work)
         try:
             if check is not None:
@@ -96,7 +96,7 @@ def write_case(
             raise GapError(
                 error.message, file=proposal.recordings[0].path, expected=error.expected, found=found, hint=error.hint
             ) from error
-    return said
+    return remarks
 
 
 def _recorded(proposal: Proposal) -> str:
@@ -107,7 +107,7 @@ def _recorded(proposal: Proposal) -> str:
     return (", ".join(list(names)[:8]) or "nothing") + more
 
 
-def _log(proposal: Proposal, said: list[str]) -> dict[str, Any]:
+def _log(proposal: Proposal, remarks: list[str]) -> dict[str, Any]:
     sources = ", ".join(f"{r}: {a.source.label}" for r, a in proposal.assignments.items())
     return {
         "joint_names": list(proposal.joints),

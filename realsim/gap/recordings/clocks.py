@@ -32,7 +32,7 @@ class Clocked:
 
     time: F64
     clock: str
-    said: tuple[str, ...]
+    notes: tuple[str, ...]
     warnings: tuple[str, ...] = ()
 
 
@@ -46,7 +46,7 @@ def clocked(recording: Recording) -> dict[str, Clocked]:
 
 
 def _of_stream(recording: Recording, stream: Stream) -> Clocked:
-    said: list[str] = []
+    notes: list[str] = []
     warnings: list[str] = []
     receive = stream.clocks.get("receive")
     if receive is not None and not np.isfinite(receive).any():
@@ -55,20 +55,20 @@ def _of_stream(recording: Recording, stream: Stream) -> Clocked:
         raw = stream.clocks[name]
         why = _unfit(raw)
         if why:
-            said.append(f"clock {name!r} is not used: {why}")
+            notes.append(f"clock {name!r} is not used: {why}")
             continue
         if receive is None:
             seconds, how = (raw, "s") if name == "header" else seconds_of(name, raw)
-            return Clocked(seconds, name, (*said, f"time is {name!r}{'' if how == 's' else f', in {how}'}"))
+            return Clocked(seconds, name, (*notes, f"time is {name!r}{'' if how == 's' else f', in {how}'}"))
         seconds, how = (raw, "s") if name == "header" else _unit_by(raw, receive)
         aligned, report, bad = _laid_on(seconds, receive)
         if bad:
             warnings.append(f"clock {name!r} of {stream.name} is not used: {bad}")
             continue
-        return Clocked(aligned, name, (*said, f"time is {name!r}{'' if how == 's' else f' in {how}'}: {report}"),
+        return Clocked(aligned, name, (*notes, f"time is {name!r}{'' if how == 's' else f' in {how}'}: {report}"),
                        tuple(warnings))  # fmt: skip
     if receive is not None:
-        return Clocked(receive, "receive", (*said, "time is when messages were received"), tuple(warnings))
+        return Clocked(receive, "receive", (*notes, "time is when messages were received"), tuple(warnings))
     rate, name = declared_rate(recording.facts)
     if rate:
         text = f"no clock: {rate:g} samples per second are declared ({name})"
@@ -78,7 +78,7 @@ def _of_stream(recording: Recording, stream: Stream) -> Clocked:
         file=recording.path,
         expected="a column that rises evenly (under any name), or one named time, timestamp, stamp or t",
         found="; ".join(
-            [", ".join(c for f in stream.fields.values() for c in f.columns) or ", ".join(stream.fields), *said]
+            [", ".join(c for f in stream.fields.values() for c in f.columns) or ", ".join(stream.fields), *notes]
         )[:300],
         hint=f"name its column: realsim log {recording.path} --use time=COLUMN; or, of even samples, give "
         "their rate in Hz: --rate 100",
@@ -89,13 +89,13 @@ def declared_rate(facts: Mapping[str, Any]) -> tuple[float, str]:
     """(Hz, the fact that says so) of samples without a clock; 0 where none does, or several disagree."""
     found: dict[str, float] = {}
     for name, value in facts.items():
-        said = {*plain(name.rpartition(".")[2]).split("_")}
+        words = {*plain(name.rpartition(".")[2]).split("_")}
         if not isinstance(value, (int, float)) or not value > 0:
             continue
         if name == "rate":  # of the user
             return float(value), name
-        if said & (_RATES | _STEPS) and said <= _OF_SAMPLES | _RATES | _STEPS:
-            found[name] = float(value) if said & _RATES else 1 / float(value)
+        if words & (_RATES | _STEPS) and words <= _OF_SAMPLES | _RATES | _STEPS:
+            found[name] = float(value) if words & _RATES else 1 / float(value)
     own = {n: hz for n, hz in found.items() if set(plain(n.rpartition(".")[2]).split("_")) & _OF_SAMPLES} or found
     agree = bool(own) and max(own.values()) < 1.01 * min(own.values())
     return (next(iter(own.values())), next(iter(own))) if agree else (0.0, "")

@@ -51,11 +51,11 @@ def command(e: Evidence) -> None:
     evidence = [f"by {source.why}", how]
     doubtful = source.why == BY_VALUES
     if kind == "position":
-        columns, said, odd = _order(e, source, columns, joints, named=how.startswith("its columns name"))
-        evidence += said
+        columns, reasons, odd = _order(e, source, columns, joints, named=how.startswith("its columns name"))
+        evidence += reasons
         doubtful |= odd
-    scale, unit, offset, said, odd = _scale(e, kind, source, columns, joints)
-    evidence += said
+    scale, unit, offset, reasons, odd = _scale(e, kind, source, columns, joints)
+    evidence += reasons
     doubtful |= odd
     if e.target is None:
         e.settle("command", source, columns, joints, evidence, scale=scale, offset=offset, unit=unit, doubtful=doubtful)
@@ -204,15 +204,15 @@ def _scale(
     place = e.proposal.assignments["joint_pos"]
     at = [place.targets.index(j) for j in joints]
     scale, offset = np.array(place.scale)[at], np.array(place.offset)[at]
-    factors, said, doubtful = [], [], place.doubtful
-    for time, asked, done in e.in_runs(source, "joint_pos"):
+    factors, reasons, doubtful = [], [], place.doubtful
+    for time, commanded, done in e.in_runs(source, "joint_pos"):
         for k, column in enumerate(columns):
-            corr, _, gain, _ = follows(time, scale[k] * (asked[:, column] - offset[k]), done[:, at[k]])
+            corr, _, gain, _ = follows(time, scale[k] * (commanded[:, column] - offset[k]), done[:, at[k]])
             if corr > -NEGATED:
                 factors.append(gain)
-            elif follows(time, -asked[:, column] * scale[k], done[:, at[k]])[0] > -NEGATED:
+            elif follows(time, -commanded[:, column] * scale[k], done[:, at[k]])[0] > -NEGATED:
                 text = f"{joints[k]} does the opposite of its command: is the sign of one of them another? Check it"
-                said += [text] if text not in said else []
+                reasons += [text] if text not in reasons else []
                 doubtful = True
     factor = float(np.median(factors)) if factors else 1.0
     declared = source.unit if source.unit in ANGLE and place.unit in ANGLE and source.unit != place.unit else ""
@@ -221,13 +221,13 @@ def _scale(
     if not declared and near and max(factor, 1 / max(factor, 1e-9)) > OTHER_UNIT:
         if max(factor / others[near], others[near] / factor) < THE_UNIT:
             declared = near
-            said.append(f"the joints do {factor:.3g} times as much as is commanded in {place.unit}: it is in {near}")
+            reasons.append(f"the joints do {factor:.3g} times as much as is commanded in {place.unit}: it is in {near}")
         else:
             doubtful = True
-            said.append(f"the joints do {factor:.3g} times as much as is commanded, which is no unit")
+            reasons.append(f"the joints do {factor:.3g} times as much as is commanded, which is no unit")
     if declared:
-        return np.sign(scale) * ANGLE[declared], declared, still, said, doubtful
-    return scale, place.unit, offset, said, doubtful
+        return np.sign(scale) * ANGLE[declared], declared, still, reasons, doubtful
+    return scale, place.unit, offset, reasons, doubtful
 
 
 def _order(
@@ -244,8 +244,8 @@ def _order(
     at = [place.targets.index(j) for j in joints]
     scale, offset = np.array(place.scale)[at], np.array(place.offset)[at]
     tables = [
-        agreement(time, scale * (asked[:, list(columns)] - offset), done[:, at])
-        for time, asked, done in e.in_runs(source, "joint_pos")
+        agreement(time, scale * (commanded[:, list(columns)] - offset), done[:, at])
+        for time, commanded, done in e.in_runs(source, "joint_pos")
     ]
     found = pair(tables, range(len(columns)))
     moved = [b for b in range(len(joints)) if found.columns[b] != b]
@@ -260,8 +260,8 @@ def _order(
     needed = PLAIN if promised else BETTER
     if moved and found.gain > needed and found.steady:
         runs = f" in {len(tables)} runs" if len(tables) > 1 else ""
-        said = f"in another order than the positions{runs}: {which} (agreement better by {found.gain:.2f})"
-        return [columns[i] for i in found.columns], [said], found.margin < ALIKE
+        reasons = f"in another order than the positions{runs}: {which} (agreement better by {found.gain:.2f})"
+        return [columns[i] for i in found.columns], [reasons], found.margin < ALIKE
     if moved and found.gain > BETTER:
         return list(columns), [f"another order fits better by {found.gain:.2f}: {which}: check, or use --use"], True
     if not promised and found.margin < ALIKE:
@@ -275,14 +275,15 @@ def _measured_torque(e: Evidence) -> None:
     found = e.proposal.assignments.get("joint_torque")
     if found is None or e.target is None or e.proposal.torque_kind != "measured":  # a current is none in N m
         return
-    asked = _leader(e)
-    said = f"but they follow {asked.label}: were they commanded by it? --use command={asked.label}" if asked else ""
+    leader = _leader(e)
+    doubt = f"but they follow {leader.label}: were they commanded by it? --use command={leader.label}" if leader else ""
     keep = [j for j in range(len(e.target.actuators)) if e.target.driven[j] in found.targets]
     at = [found.targets.index(e.target.driven[j]) for j in keep]
     e.settle(
         "command", found.source, [found.columns[i] for i in at], [e.target.actuators[j] for j in keep],
-        ["no command was recorded, and the model's actuators are torque motors: the measured torque drives them", said],
-        scale=[found.scale[i] for i in at], unit=found.unit, doubtful=found.doubtful or bool(said),
+        ["no command was recorded, and the model's actuators are torque motors: the measured torque drives them",
+         doubt],
+        scale=[found.scale[i] for i in at], unit=found.unit, doubtful=found.doubtful or bool(doubt),
     )  # fmt: skip
     e.proposal.command_kind = "torque"
 
@@ -300,18 +301,18 @@ def _gains(e: Evidence, source: Candidate) -> None:
         model = np.array([e.target.gains[e.target.actuators.index(a), i] for a in command.targets])
         field = logged[name]
         if field is not None and field.width > max(command.columns):
-            said = np.nanmedian(field.values[:, list(command.columns)], axis=0)
+            recorded = np.nanmedian(field.values[:, list(command.columns)], axis=0)
             off = float((field.values[:, list(command.columns)] == 0).all(axis=1).mean())
             if name == "kp" and off > 0.01:
                 e.warn(f"kp is 0 in {off:.0%} of the commands: torque is off there; read the rest: --skip, --seconds")
         elif isinstance(facts[name], (int, float)):
-            said = np.full(len(model), float(facts[name]))
+            recorded = np.full(len(model), float(facts[name]))
         else:
             continue
-        odd = np.abs(said - model) > 0.02 * np.maximum(np.abs(model), 1e-6)
+        odd = np.abs(recorded - model) > 0.02 * np.maximum(np.abs(model), 1e-6)
         if odd.any():
             j = int(np.argmax(odd))
             e.warn(
-                f"{name} of {int(odd.sum())} servos is not the model's: {command.targets[j]} has {said[j]:.4g} logged, "
-                f"{model[j]:.4g} in the model: set what was sent, if it is in N m/rad"
+                f"{name} of {int(odd.sum())} servos is not the model's: {command.targets[j]} has {recorded[j]:.4g} "
+                f"logged, {model[j]:.4g} in the model: set what was sent, if it is in N m/rad"
             )

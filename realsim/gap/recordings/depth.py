@@ -121,25 +121,25 @@ class Depth:
 
     def doubts(self) -> list[str]:
         """What the case does not say of the camera, or says wrongly."""
-        said = [f'the noise of {self.camera} is not known: depth_noise needs "noise" in depth_camera of log.json']
+        warnings = [f'the noise of {self.camera} is not known: depth_noise needs "noise" in depth_camera of log.json']
         if self.source.distorts:
-            said.append(f"the lens of {self.topic} distorts: that is not undone, and looks like a wrong mount")
-        return said
+            warnings.append(f"the lens of {self.topic} distorts: that is not undone, and looks like a wrong mount")
+        return warnings
 
 
-def choose(recording: Recording, target: Target, asked: str) -> tuple[Depth | None, str]:
+def choose(recording: Recording, target: Target, wanted: str) -> tuple[Depth | None, str]:
     """(the frames and the camera of the model that saw them, or None; what is missing).
 
     Args:
-        asked: `NAME` of the model's camera, `NAME=TOPIC`, `none`, or nothing where only one fits.
+        wanted: `NAME` of the model's camera, `NAME=TOPIC`, `none`, or nothing where only one fits.
 
     Raises:
         GapError: a camera that is not in the model, a topic without depth.
     """
     kept = {s.name for s in recording.streams}
     topics: dict[str, DepthTopic] = {t: d for t, d in recording.depth.items() if t in kept}
-    name, _, topic = asked.partition("=")
-    if asked == "none" or not (topics or asked):
+    name, _, topic = wanted.partition("=")
+    if wanted == "none" or not (topics or wanted):
         return None, ""
     known = [target.model.camera(i).name for i in range(target.model.ncam) if target.model.camera(i).name]
     if name and name not in known:

@@ -74,7 +74,7 @@ def propose(
     proposal = Proposal(list(kept), model=str(target.path) if target else "")
     proposal.jointless = target is not None and not target.joints
     proposal.base = "floating" if target is not None and target.floating else "fixed"
-    _said_about_clocks(proposal, times, frames)
+    _describe_clocks(proposal, times, frames)
     proposal.warnings += list(dict.fromkeys(n for r in kept for n in r.notes))
 
     evidence = Evidence(main, times, target, candidates, chosen, proposal, kept)
@@ -154,8 +154,10 @@ def _by_values(recording: Recording, target: Target | None, uses: Mapping[str, o
     time = clocked(recording)[stream.name].time
     values = np.stack([v for _, v in columns[:MOST_COLUMNS]], axis=1)
     found = blocks(time, values, width)
-    asked = [stream.fields[n] for n, r in role_of.items() if r in ("command", "command.position")]
-    for field in (f for f in asked if f.width == width and "joint_pos" not in found):  # positions follow their command
+    commanded = [stream.fields[n] for n, r in role_of.items() if r in ("command", "command.position")]
+    for field in (
+        f for f in commanded if f.width == width and "joint_pos" not in found
+    ):  # positions follow their command
         ways = {k: leads(time, field.values, values[:, k : k + width]) for k in range(values.shape[1] - width + 1)}
         best = max(ways, key=lambda k: ways[k], default=-1)
         found |= {"joint_pos": best} if best >= 0 and ways[best] > LEADS else {}
@@ -171,12 +173,12 @@ def _columns(name: str, field: Field) -> list[str]:
     return [f"{name}[{k}]" for k in range(field.width)]
 
 
-def _said_about_clocks(proposal: Proposal, times: Mapping[str, Clocked], frames: set[str]) -> None:
+def _describe_clocks(proposal: Proposal, times: Mapping[str, Clocked], frames: set[str]) -> None:
     for name, found in times.items():
         stamps = np.sort(found.time[np.isfinite(found.time)])
         step = np.diff(stamps)
         rate = 1 / float(np.median(step)) if len(step) and np.median(step) > 0 else 0.0
-        proposal.clocks.append(f"{name or 'table'}: {rate:.4g} Hz; " + "; ".join(found.said))
+        proposal.clocks.append(f"{name or 'table'}: {rate:.4g} Hz; " + "; ".join(found.notes))
         proposal.warnings += list(found.warnings)
         if name in frames:
             continue
@@ -196,9 +198,9 @@ def _missing(e: Evidence) -> None:
     elif proposal.place not in have:
         what = "no field of joint positions is known by its name"
         missing.append(f"joint_pos (needed): {what}; name it: --use joint_pos={example}")
-    asked = [c for c in e.candidates if c.role.startswith("command")]
-    labels, still = ", ".join(c.label for c in asked[:3]), not any(commands.moves(e, c) for c in asked)
-    if "command" not in have and asked:
+    candidates = [c for c in e.candidates if c.role.startswith("command")]
+    labels, still = ", ".join(c.label for c in candidates[:3]), not any(commands.moves(e, c) for c in candidates)
+    if "command" not in have and candidates:
         what = "never changes, which tells nothing of the joints: record motion"
         what = what if still else f"is no command of these joints by its columns; name them: --use command={example}"
         missing.append(f"command (needed): {labels} {what}")
@@ -206,7 +208,7 @@ def _missing(e: Evidence) -> None:
         what = f"no field of commands is known by its name; name it: --use command={example}"
         missing.append(f"command (needed): {what}; or record the command topic too")
     optional = {} if proposal.jointless else {
-        "joint_vel": "velocities", "joint_torque": "torques: gains, friction and payload are told apart by them",
+        "joint_vel": "velocities", "joint_torque": "torques: gains, friction and payload are distinguished by them",
     }  # fmt: skip
     if proposal.base == "floating":
         optional |= {
@@ -227,8 +229,8 @@ def _why_not(e: Evidence, role: str) -> str:
     if role in e.chosen and e.chosen[role] is None:
         return f" (left out by --use {role}=none)"
     labels = [c.label for c in e.candidates if c.role == role]
-    said = [*e.proposal.warnings, *e.proposal.missing]
-    why = [w for w in said if w.startswith(tuple(f"{n}{end}" for n in labels for end in " :"))]
+    lines = [*e.proposal.warnings, *e.proposal.missing]
+    why = [w for w in lines if w.startswith(tuple(f"{n}{end}" for n in labels for end in " :"))]
     why = why or [f"{n} does not fit the model" for n in labels[:3]]
     return f" ({'; '.join(why)})" if why else ""
 
@@ -251,19 +253,19 @@ def _followed(proposal: Proposal, target: Target | None) -> None:
     if not proposal.complete or proposal.command_kind != "position":
         return
     rows, idle = [], []
-    asked_of = proposal.assignments["command"].targets
+    targets = proposal.assignments["command"].targets
     joints_of = dict(zip(target.actuators, target.driven, strict=True)) if target is not None else {}
-    driven = [proposal.joints.index(joints_of.get(a, a)) for a in asked_of]
+    driven = [proposal.joints.index(joints_of.get(a, a)) for a in targets]
     for recording in proposal.recordings[:MOST_RUNS]:
         try:
             arrays = run_arrays(proposal, recording).arrays
         except GapError:
             continue  # reported when it is written
-        asked, done = arrays["command"], arrays["joint_pos"]
+        sent, done = arrays["command"], arrays["joint_pos"]
         found = [
-            follows(arrays["time"], asked[:, k], done[:, j])
+            follows(arrays["time"], sent[:, k], done[:, j])
             for k, j in enumerate(driven)
-            if np.nanstd(asked[:, k]) > MOVES and np.nanstd(done[:, j]) > MOVES
+            if np.nanstd(sent[:, k]) > MOVES and np.nanstd(done[:, j]) > MOVES
         ]
         if not found:
             continue
@@ -274,9 +276,9 @@ def _followed(proposal: Proposal, target: Target | None) -> None:
     if not rows:
         return
     corr, lag, gain, _ = np.median(np.array(rows), axis=0)
-    said = f"the joints follow it: correlation {corr:.3f}, {1e3 * lag:.3g} ms later, gain {gain:.3g}"
+    text = f"the joints follow it: correlation {corr:.3f}, {1e3 * lag:.3g} ms later, gain {gain:.3g}"
     command = proposal.assignments["command"]
-    proposal.assignments["command"] = replace(command, evidence=(*command.evidence, said))
+    proposal.assignments["command"] = replace(command, evidence=(*command.evidence, text))
     if idle:
         proposal.warnings.append(
             f"the joints hardly follow the command in {', '.join(idle[:6])}: was torque off, or is it another robot's?"

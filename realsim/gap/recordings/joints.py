@@ -169,32 +169,32 @@ def _which_joints(e: Evidence, source: Candidate, field: Field) -> tuple[list[in
     orders = e.target.orders(field.width)
     if not orders:
         return [], [], "", False
-    asked = _asked_columns(e, source, field)
+    commanded = _command_columns(e, source, field)
     scores = {name: _order_score(e, field, order, source) for name, order in orders.items()}
-    for name, order in orders.items() if asked else ():
-        known = dict(sorted((asked[k], joint) for k, joint in order.items())) in orders.values()
+    for name, order in orders.items() if commanded else ():
+        known = dict(sorted((commanded[k], joint) for k, joint in order.items())) in orders.values()
         scores[name] = (scores[name][0] + known) / 2, f"{scores[name][1]}, commands in a known order {known:d}"
     listed = source.label in {c.label for c in e.chosen.values() if c is not None} and "," in source.member
     usual = MODELS_ORDER if (listed or _numbered(field)) and MODELS_ORDER in scores else ""
     lead = {n: scores[n][0] + (CONVENTION if n == usual else 0.0) for n in scores}
     ranked = sorted(lead, key=lambda n: -lead[n])
     best = ranked[0]
-    said = f"unnamed columns: {best}, agreement {scores[best][0]:.2f} ({scores[best][1]})"
+    text = f"unnamed columns: {best}, agreement {scores[best][0]:.2f} ({scores[best][1]})"
     # Numbers count the columns of any controller's order; only a sorted one is likely to come with names.
     own = lead if best != usual else {n: lead[n] if n == ALPHABETICAL else scores[n][0] + CONVENTION for n in lead}
     rivals = [] if listed else [n for n in ranked[1:] if own[n] > own[best] - 0.02]
     if rivals:
-        said += f"; as likely by the data: {', '.join(rivals)}: check, or name the columns"
+        text += f"; as likely by the data: {', '.join(rivals)}: check, or name the columns"
     elif len(ranked) > 1:
-        said += f"; next {ranked[1]} {scores[ranked[1]][0]:.2f}"
+        text += f"; next {ranked[1]} {scores[ranked[1]][0]:.2f}"
     moving = [c for c in range(field.width) if c not in orders[best] and not _still(field.values[:, c])]
     if moving:
-        said += f"; {len(moving)} more columns that move are left out: is it another robot's model?"
+        text += f"; {len(moving)} more columns that move are left out: is it another robot's model?"
     strange = bool(field.labels) and not listed and not _numbered(field)
     if strange:
-        said += f"; the columns' names ({', '.join(field.labels[:4])}) are none of the model's: check, or use --use"
+        text += f"; the columns' names ({', '.join(field.labels[:4])}) are none of the model's: check, or use --use"
     e.unordered = bool(rivals or moving or strange)
-    return list(orders[best]), list(orders[best].values()), said, e.unordered
+    return list(orders[best]), list(orders[best].values()), text, e.unordered
 
 
 def _numbered(field: Field) -> bool:
@@ -206,12 +206,12 @@ def _numbered(field: Field) -> bool:
     return len(counted) == 1 and bool((np.diff(counted[0]) == 1).all())
 
 
-def _asked_columns(e: Evidence, source: Candidate, field: Field) -> tuple[int, ...]:
+def _command_columns(e: Evidence, source: Candidate, field: Field) -> tuple[int, ...]:
     """Of each column the command beside it that it follows, where those are plainly in another order; else nothing."""
     for c in e.candidates:
-        asked = e.of(c)[1] if c.stream == source.stream and c.role in ("command", "command.position") else None
-        if asked is not None and asked.width == field.width > 1:
-            found = pair([agreement(e.of(c)[0], asked.values, field.values)], range(field.width))
+        command = e.of(c)[1] if c.stream == source.stream and c.role in ("command", "command.position") else None
+        if command is not None and command.width == field.width > 1:
+            found = pair([agreement(e.of(c)[0], command.values, field.values)], range(field.width))
             if found.gain > PLAIN and found.margin > ALIKE:
                 return found.columns
     return ()
@@ -243,8 +243,8 @@ def _order_score(e: Evidence, field: Field, order: Mapping[int, str], source: Ca
             parts["torques"] = float(np.median(found))
     rest = [_still(field.values[:, c]) for c in range(field.width) if c not in order]
     idle = float(np.mean(rest)) if rest else 1.0  # an order that leaves out motors which move is not the robot's
-    said = ", ".join(f"{k} {v:.2f}" for k, v in (parts | ({"the rest idle": idle} if rest else {})).items())
-    return float(np.mean(list(parts.values()))) * idle, said
+    text = ", ".join(f"{k} {v:.2f}" for k, v in (parts | ({"the rest idle": idle} if rest else {})).items())
+    return float(np.mean(list(parts.values()))) * idle, text
 
 
 def _feet_level(e: Evidence, order: Sequence[str], values: F64) -> float | None:
@@ -273,7 +273,7 @@ def _in_si(target: Target, names: Sequence[str], values: F64, declared: str) -> 
     """(values (T, K) in rad and m, (K,) factors, (K,) offsets, unit, why, whether in doubt): hinges, then slides."""
     ranges = target.ranges[[target.joints.index(n) for n in names]]
     hinges = np.array([target.model.joint(n).type[0] == HINGE for n in names])
-    size, offset, found, said, doubtful = np.ones(len(names)), np.zeros(len(names)), [], [], False
+    size, offset, found, reasons, doubtful = np.ones(len(names)), np.zeros(len(names)), [], [], False
     for kind, units in (both for both in ((hinges, ANGLE), (~hinges, LENGTH)) if both[0].any()):
         unit, offset[kind], why = _unit(ranges[kind], values[:, kind], declared, units)
         size[kind] = units.get(unit, 2 * np.pi / TICKS)
@@ -285,8 +285,8 @@ def _in_si(target: Target, names: Sequence[str], values: F64, declared: str) -> 
         # How many steps a turn has, where zero is, and what unit a size alone tells, is nowhere in the data.
         doubtful |= unit == "ticks" or ((free or units is LENGTH) and unit not in (declared, usual))
         found.append(unit)
-        said.append(why)
-    return (values - offset) * size, size, offset, found[0], "; slides ".join(said), doubtful
+        reasons.append(why)
+    return (values - offset) * size, size, offset, found[0], "; slides ".join(reasons), doubtful
 
 
 def _unit(ranges: F64, values: F64, declared: str, units: Mapping[str, float]) -> tuple[str, float, str]:
@@ -499,18 +499,18 @@ def _as_needed(e: Evidence) -> list[Candidate]:
 def _torque_unit(ratio: float, corrs: F64, declared: str, current: bool) -> tuple[float, str, str, bool]:
     """(factor to N m with sign, unit, why, whether in doubt) from logged = ratio x inverse dynamics."""
     corr = float(np.median(np.abs(corrs)))
-    said = f"against the model's inverse dynamics: correlation {corr:.2f}, factor {ratio:.3g}"
+    text = f"against the model's inverse dynamics: correlation {corr:.2f}, factor {ratio:.3g}"
     if corr < 0.5:
         unit = declared or "N m"
-        return TORQUE.get(unit, 1.0), unit, f"{said}: tells nothing; {unit} is assumed", True
+        return TORQUE.get(unit, 1.0), unit, f"{text}: tells nothing; {unit} is assumed", True
     sign = -1.0 if np.median(corrs) < -0.5 else 1.0
     if current:  # whose gain the diagnosis leaves open
-        return sign / abs(ratio), declared or "steps", f"{said}: one is taken as {sign / abs(ratio):.3g} N m", True
+        return sign / abs(ratio), declared or "steps", f"{text}: one is taken as {sign / abs(ratio):.3g} N m", True
     unit = nearest_unit(ratio, TORQUE)
     if declared in TORQUE and 0.3 < abs(ratio) * TORQUE[declared] < 3:
         unit = declared
     fits = 0.4 < abs(ratio) * TORQUE[unit] < 2.5
-    return sign * TORQUE[unit], unit, f"{said} -> {unit}{', negated' if sign < 0 else ''}", not fits
+    return sign * TORQUE[unit], unit, f"{text} -> {unit}{', negated' if sign < 0 else ''}", not fits
 
 
 def _needed(e: Evidence, names: tuple[str, ...], place: F64, time: F64 | None = None) -> tuple[Any, F64] | None:

@@ -151,12 +151,12 @@ def meaning(stream: str, kind: str, member: str) -> tuple[str, str, str]:
         return "", "", ""
     text = "_".join(w for w in found if w != "target")
     role = next((r for r, pattern in _WORDS if re.search(pattern, text)), "")
-    asked = sent or "target" in found or {"controller", "output"} <= set(found)
-    if not role and (asked or "measured" in found or (unit and len(found) <= 1)):
-        role = _BY_UNIT.get(unit, "" if asked or "measured" not in found else "joint_pos")
+    commanded = sent or "target" in found or {"controller", "output"} <= set(found)
+    if not role and (commanded or "measured" in found or (unit and len(found) <= 1)):
+        role = _BY_UNIT.get(unit, "" if commanded or "measured" not in found else "joint_pos")
     sides = [side for part in above.split(".")[::-1] if (side := set(english(part)) & {*SIDES})]
     below_sent = bool(sides) and "target" in sides[0]  # motor_cmd of motor_cmd.q
-    if (asked and role in ("", *JOINTS)) or (below_sent and role in JOINTS):
+    if (commanded and role in ("", *JOINTS)) or (below_sent and role in JOINTS):
         return f"command{_COMMANDS.get(role, '')}", unit, f"the name {member!r}" + (f" in {stream!r}" if sent else "")
     return role, unit, f"the name {member!r}" if role else ""
 

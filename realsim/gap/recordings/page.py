@@ -36,9 +36,9 @@ def recording_page(proposal: Proposal, target: Target | None = None, notes: Sequ
     for name, run in runs:
         body += page.card(f"Run {name}", page.grid(*_plots(proposal, target, run)), wide=True)
     body += page.card("Taken for", _table(proposal), wide=True)
-    said = {"Missing": proposal.missing, "Warnings": [*proposal.warnings, *notes], "Time": proposal.clocks}
+    lists = {"Missing": proposal.missing, "Warnings": [*proposal.warnings, *notes], "Time": proposal.clocks}
     body += page.grid(
-        *(page.card(title, page.folded_bullets(items, "more", 8)) for title, items in said.items() if items)
+        *(page.card(title, page.folded_bullets(items, "more", 8)) for title, items in lists.items() if items)
     )
     return page.document("What was understood of a recording", f"{first.path.name} ({first.reader}), {counted}", body)
 
@@ -57,11 +57,11 @@ def _runs(proposal: Proposal) -> list[tuple[str, RunArrays]]:
 
 def _plots(proposal: Proposal, target: Target | None, run: RunArrays) -> list[str]:
     """A plot for each actuator: what was commanded, and what the joint did."""
-    arrays, asked = run.arrays, proposal.assignments["command"].targets
+    arrays, commanded = run.arrays, proposal.assignments["command"].targets
     driven = dict(zip(target.actuators, target.driven, strict=True)) if target is not None else {}
     role, unit = _REACHED[proposal.command_kind]
     plots = []
-    for k, name in enumerate(asked[:MOST_JOINTS]):
+    for k, name in enumerate(commanded[:MOST_JOINTS]):
         joint = driven.get(name, name)
         series = [_series("command", arrays["time"], arrays["command"][:, k])]
         if role in arrays and joint in proposal.joints:

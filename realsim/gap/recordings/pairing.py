@@ -37,16 +37,16 @@ class Pairing:
     """Whether at least three quarters of the runs, each alone, prefer the best order to the given one."""
 
 
-def agreement(times: F64, asked: F64, done: F64) -> F64:
+def agreement(times: F64, commanded: F64, done: F64) -> F64:
     """(B, A) how well each joint (T, B) follows each command (T, A): correlation, and half for the same level.
 
     At one lag for all, since a pair of its own lag may take one sine for another.
     """
-    good = np.flatnonzero(np.isfinite(asked).all(axis=1) & np.isfinite(done).all(axis=1))
+    good = np.flatnonzero(np.isfinite(commanded).all(axis=1) & np.isfinite(done).all(axis=1))
     if len(good) < 30:
-        return np.zeros((done.shape[1], asked.shape[1]))
+        return np.zeros((done.shape[1], commanded.shape[1]))
     rows = good[:: max(1, len(good) // MOST)]
-    t, a, b = times[rows], asked[rows], done[rows]
+    t, a, b = times[rows], commanded[rows], done[rows]
     step = max(float(np.median(np.diff(t))), 1e-3)
     lags = np.unique(np.linspace(0, min(int(MAX_LAG / step), len(t) // 4), 16).astype(int))
     tables = [_correlation(a[: len(a) - k], b[k:]) for k in lags]
@@ -93,13 +93,13 @@ MOST_SAMPLES = 4000
 MOST_COLUMNS = 64
 
 
-def leads(time: F64, asked: F64, done: F64) -> float:
+def leads(time: F64, commanded: F64, done: F64) -> float:
     """How well joints (T, K) follow columns (T, K) some time later: the median correlation, 0 where it is not later."""
     found = []
     for k in range(done.shape[1]):
-        if np.nanstd(asked[:, k]) < 1e-6 or np.nanstd(done[:, k]) < 1e-6:
+        if np.nanstd(commanded[:, k]) < 1e-6 or np.nanstd(done[:, k]) < 1e-6:
             continue
-        corr, lag, _, _ = follows(time[:MOST_SAMPLES], asked[:MOST_SAMPLES, k], done[:MOST_SAMPLES, k])
+        corr, lag, _, _ = follows(time[:MOST_SAMPLES], commanded[:MOST_SAMPLES, k], done[:MOST_SAMPLES, k])
         found.append(corr if lag > 0 else 0.0)
     return float(np.median(found)) if found else 0.0
 
@@ -123,10 +123,10 @@ def blocks(time: F64, table: F64, width: int) -> dict[str, int]:
         found = {"joint_pos": place, "joint_vel": speed}
     moving = {k for k, v in parts.items() if 2 * (np.nanstd(v, axis=0) > 1e-6).sum() >= width}  # one joint tells little
     apart = [(c, p) for c, p in apart if c in moving and p == found.get("joint_pos", p)]
-    asked = {(c, p): leads(time, parts[c], parts[p]) for c, p in apart}
-    asked = {pair: corr for pair, corr in asked.items() if pair[0] != found.get("joint_vel") and corr > LEADS}
-    if asked:
-        command, place = max(asked, key=lambda pair: asked[pair])
+    leading = {(c, p): leads(time, parts[c], parts[p]) for c, p in apart}
+    leading = {pair: corr for pair, corr in leading.items() if pair[0] != found.get("joint_vel") and corr > LEADS}
+    if leading:
+        command, place = max(leading, key=lambda pair: leading[pair])
         found |= {"joint_pos": place, "command": command}
     return found
 

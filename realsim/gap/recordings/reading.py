@@ -84,8 +84,8 @@ def _read(reader: Reader, path: Path, window: Window) -> list[Recording]:
             if not inner.is_dir():
                 check_size(inner, MAX_BYTES)
     beside = path.with_suffix(".json")  # what a logger says of its table: a rate, gains
-    said = _facts(beside) if beside != path and path.is_file() and beside.is_file() else {}
-    read_ = [replace(r, facts={**said, **r.facts}) for r in reader.read(path, window)]
+    shared = _facts(beside) if beside != path and path.is_file() and beside.is_file() else {}
+    read_ = [replace(r, facts={**shared, **r.facts}) for r in reader.read(path, window)]
     whole = [replace(r, streams=filled) for r in read_ if (filled := _filled(r))]
     found = [_finite(replace(part, streams=_filled(part))) for r in whole for part in unbroken(r)]
     if not found:

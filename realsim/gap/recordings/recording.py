@@ -14,7 +14,7 @@ from realsim.core.errors import GapError, RealsimError
 from realsim.core.types import F64, Bool
 
 MAX_VALUES = 60_000_000
-"""Numbers that a recording may hold in memory. Beyond, a window of time has to be asked for. At the peak each takes 28
+"""Numbers that a recording may hold in memory. Beyond, a window of time has to be requested. At the peak each takes 28
 bytes (an MCAP of 3 million joint states, 75 million numbers: 2.1 GB)."""
 
 

@@ -37,14 +37,14 @@ def held(times: F64, values: F64, wanted: F64) -> F64:
     return out
 
 
-def follows(times: F64, asked: F64, done: F64) -> tuple[float, float, float, float]:
+def follows(times: F64, commanded: F64, done: F64) -> tuple[float, float, float, float]:
     """(correlation, s of lag, gain, offset) with which one signal (T,) follows another best; zeros for two samples."""
-    times, asked, done = (x[np.isfinite(times)] for x in (times, asked, done))
+    times, commanded, done = (x[np.isfinite(times)] for x in (times, commanded, done))
     if len(times) < 3:
         return 0.0, 0.0, np.nan, np.nan
     step = max(float(np.median(np.diff(times))), 1e-3)
     grid = np.arange(times[0], times[-1], step)[:MOST]
-    a = held(times, asked[:, None], grid)[:, 0]
+    a = held(times, commanded[:, None], grid)[:, 0]
     b = at(times, done[:, None], grid)[:, 0]
     best = (0.0, 0.0)
     for lag in range(min(int(MAX_LAG / step) + 1, len(a) // 2)):

@@ -45,15 +45,15 @@ def load_world(scene: Path) -> World:
     expected = "a scene of `realsim reconstruct` with report.json"
     if not report.is_file():
         raise GapError("how the scene lies is not known", file=scene, expected=expected, found="no report.json")
-    said = read_json(report)
-    said = said if isinstance(said, dict) else {}
-    if said.get("world") == "chosen by the backend":
+    written = read_json(report)
+    written = written if isinstance(written, dict) else {}
+    if written.get("world") == "chosen by the backend":
         raise GapError(
             "the scene was made without poses of its capture", file=report,
             expected="a capture whose poses are in the frame of the log's base pose", found="a world of its own",
         )  # fmt: skip
     try:
-        T, scale = np.array(said["T_sim_world"], float), float(said["scale"]["value"])
+        T, scale = np.array(written["T_sim_world"], float), float(written["scale"]["value"])
         R = T[:3, :3]
         good = T.shape == (4, 4) and np.allclose(R @ R.T, np.eye(3), atol=1e-6) and np.linalg.det(R) > 0
         good = good and 0 < scale < np.inf

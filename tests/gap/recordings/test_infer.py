@@ -280,7 +280,7 @@ def test_offset_and_drift_of_a_clock(offset: float, ppm: float) -> None:
         return
     assert np.abs(time.time - true).max() < max(2e-3, 0.52 if small else 0.0)
     if abs(ppm) > 50:
-        said = " ".join(time.said)
+        said = " ".join(time.notes)
         assert "ppm" in said
         measured = float(said.split("drifts by ")[1].split(" ppm")[0])
         assert abs(measured - ppm) < 0.1 * abs(ppm) + 2
@@ -300,7 +300,7 @@ def test_a_counter_of_the_device_in_any_unit(unit: str, scale: float) -> None:
     zero = np.zeros_like(true)
     time = clocked(stamped(zero, true, tick=np.round(scale * (true - 1e5 + 7))))["/s"]
     assert time.clock == "tick"
-    assert f"in {unit}" in " ".join(time.said)
+    assert f"in {unit}" in " ".join(time.notes)
     assert np.abs(time.time - true).max() < 2e-3
 
 

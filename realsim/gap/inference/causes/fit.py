@@ -219,7 +219,7 @@ class Fitter(GaussNewton):
         slopes: list[F64] | None = None,
         few: Few = None,
     ) -> Fit:
-        """The fit with its evidence, and its covariance if asked for, from `slopes` (of the runs looked at)."""
+        """The fit with its evidence, and its covariance if requested, from `slopes` (of the runs looked at)."""
         prior, given = self.prior_beside(causes), self.beside(causes)
         predicted = self.predict(causes)
         if predicted is None:

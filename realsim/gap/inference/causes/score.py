@@ -40,7 +40,7 @@ def determined(fit: Fit) -> float:
     return float(np.clip(1 - np.diag(fit.covariance) / sizes**2, 0.0, 1.0).sum())
 
 
-def asked(fitter: Fitter, before: Fit) -> float:
+def least_gain(fitter: Fitter, before: Fit) -> float:
     """Nats by which one more cause must lower the score of a set: clearly, and beside others by a share of what is no
     noise, since each of them leaves a little that a wrong one can bend to. Feet that slip and land differ from a
     simulator's by many nats whatever stays, so there it is a share of all, for a first cause, too. Where deviations
@@ -62,7 +62,7 @@ def doubts(fitter: Fitter, before: Fit, after: Fit) -> tuple[list[str], Held | N
         needed = held is None or _holds(*held)
         return [] if needed else ["runs left out in turn do not need the richer law"], held
     found = []
-    gain, least = score(fitter, before) - score(fitter, after), asked(fitter, before)
+    gain, least = score(fitter, before) - score(fitter, after), least_gain(fitter, before)
     gain -= bent(before, after) if before.causes else 0.0  # beside others it would bend their values, too
     if gain < least:
         found.append(f"gains {gain:.1f} nats, must gain {least:.1f}")

@@ -17,7 +17,7 @@ from realsim.gap.inference.causes.fit import Fit, Fitter
 from realsim.gap.inference.causes.fitted import EffectSet, Trial, exchanged, imitates, is_gap, leftover
 from realsim.gap.inference.causes.gauss_newton import Few
 from realsim.gap.inference.causes.proposals import ADD, EXCHANGE, Proposal, Propose, ranked
-from realsim.gap.inference.causes.score import asked, bent, doubts, near, score, searched
+from realsim.gap.inference.causes.score import bent, doubts, least_gain, near, score, searched
 from realsim.gap.inference.likelihood.screen import Key
 from realsim.gap.simulation.simulate import OutOfTime
 
@@ -107,8 +107,8 @@ class Search:
         few = self.fitter.rough(here, every=True)
         fits = [self.fitter.fit(here.causes[:i] + here.causes[i + 1 :], few=few) for i in range(len(here.causes))]
         for less in sorted((f for f in fits if f is not None), key=self._score):
-            if said := doubts(self.fitter, less, here)[0]:
-                self._replace(less, "; ".join(said))
+            if objections := doubts(self.fitter, less, here)[0]:
+                self._replace(less, "; ".join(objections))
                 return True
         return False
 
@@ -163,15 +163,15 @@ class Search:
     def _better(self, before: Fit, fits: Sequence[Fit]) -> bool:
         """Whether one of the fits takes the place of the best set; beside no gap one that imitates only where no other
         may."""
-        least = figures.CLEARLY if before.causes else asked(self.fitter, before)
+        least = figures.CLEARLY if before.causes else least_gain(self.fitter, before)
         gap = self.fitter.conditions.gap
         for fit in sorted(fits, key=lambda f: (not gap and imitates(f), self._score(f) + bent(before, f))):
             if self._score(before) - self._score(fit) < least:
                 continue
-            said, held = doubts(self.fitter, before, fit)
+            objections, held = doubts(self.fitter, before, fit)
             for trial in [t for t in self.trials if t.candidate.key == fit.causes[-1].candidate.key][-1:]:
-                trial.outcome, trial.held = "; ".join(said) or "accepted", held
-            if not said:
+                trial.outcome, trial.held = "; ".join(objections) or "accepted", held
+            if not objections:
                 if len(fit.causes) == len(before.causes):
                     self.trials.append(exchanged(self.trials, before, fit))
                 self._replace(fit, "")
@@ -204,7 +204,7 @@ def second_look(fitter: Fitter, here: Fit, fits: Sequence[Fit]) -> tuple[Fit, li
     if not fits or not screen.crowded:
         return here, list(fits)  # few deviations hide nothing: slopes tell them from causes
     if not is_gap(leftover(screen, here)):  # weights hardly change: only what comes near can win
-        least = asked(fitter, here) if len(fits[0].causes) > len(here.causes) else figures.CLEARLY
+        least = least_gain(fitter, here) if len(fits[0].causes) > len(here.causes) else figures.CLEARLY
         before = score(fitter, here)
         fits = [f for f in fits if before - score(fitter, f) + near(here.misfit - f.misfit) > least]
         if not fits:
