@@ -110,16 +110,18 @@ def read_json(path: Path) -> Any:
 def parse_json(text: str | bytes, path: Path) -> Any:
     """Parsed JSON; `path` is where it is from, for the error."""
     try:
-        return json.loads(text, parse_int=_whole, parse_float=_real)
-    except json.JSONDecodeError as error:
-        raise RealsimError(
-            "broken JSON",
-            file=path,
-            expected="valid JSON",
-            found=f"{error.msg} at line {error.lineno} column {error.colno}",
-        ) from error
-    except (ValueError, RecursionError) as error:  # a number of thousands of digits, brackets in brackets without end
-        raise RealsimError("broken JSON", file=path, expected="JSON of a usual kind", found=str(error)) from error
+        return json.loads(text, parse_int=_whole, parse_float=_real, object_pairs_hook=_object)
+    except (ValueError, RecursionError) as error:  # also a number of thousands of digits, brackets without end
+        raise RealsimError("broken JSON", file=path, expected="valid JSON", found=str(error)) from error
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """An object; a name with two different values is refused, as nothing says which of them is meant."""
+    value = dict(pairs)
+    for name, item in pairs if len(value) < len(pairs) else []:
+        if value[name] != item:
+            raise ValueError(f"the name {name[:80]!r} twice in one object, with different values")
+    return value
 
 
 def _whole(digits: str) -> int:
@@ -163,12 +165,8 @@ def _expanded(node: Any, known: dict[int, int]) -> int:
     """Values below a node of YAML, aliases counted each time; `known` has those of nodes that were counted before."""
     if id(node) not in known:
         known[id(node)] = MAX_YAML_VALUES + 1  # of a node within itself
-        below = getattr(node, "value", None)
-        children = (
-            [c for entry in below for c in (entry if isinstance(entry, tuple) else (entry,))]
-            if isinstance(below, list)
-            else []
-        )
+        entries = node.value if isinstance(getattr(node, "value", None), list) else []
+        children = [c for entry in entries for c in (entry if isinstance(entry, tuple) else (entry,))]
         known[id(node)] = 1 + sum(_expanded(child, known) for child in children)
     return known[id(node)]
 

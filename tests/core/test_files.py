@@ -268,6 +268,14 @@ def test_names_that_are_no_text_can_be_written(tmp_path: Path) -> None:
     assert (tmp_path / "a.txt").read_text() == "a\\udcff"
 
 
+def test_a_name_that_is_twice_in_an_object_is_named_unless_it_says_the_same(tmp_path: Path) -> None:
+    (tmp_path / "x.json").write_text('{"a": 1, "a": 1}')
+    assert files.read_json(tmp_path / "x.json") == {"a": 1}
+    (tmp_path / "x.json").write_text('[{"fx": 1, "fy": 1, "fx": 2}]')
+    with pytest.raises(RealsimError, match="'fx' twice"):
+        files.read_json(tmp_path / "x.json")
+
+
 def test_a_whole_number_without_end_is_no_json(tmp_path: Path) -> None:
     (tmp_path / "a.json").write_text("1" + "0" * 400)
     with pytest.raises(RealsimError, match="401 digits"):
