@@ -68,6 +68,8 @@ def _keeps_stages(arguments: list[str]) -> bool:
 
 def _answered(arguments: list[str], as_json: bool) -> tuple[str, int]:
     """What is printed, and the exit code."""
+    if as_json and not arguments:
+        raise UsageError("no command is named", expected="realsim COMMAND", hint="realsim help")
     if not arguments or arguments in (["-h"], ["--help"], ["help"]):
         return usage() + "\n", 0 if arguments else 2
     if arguments[0] == "--version":

@@ -188,10 +188,11 @@ def test_an_output_that_is_a_file_is_exit_code_2(tmp_path: Path, capsys: pytest.
 
 
 def test_errors_as_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["inspect", str(tmp_path / "none"), "--json"]) == 2
-    said = json.loads(capsys.readouterr().out)
-    assert said["error"].endswith("Error")
-    assert said["message"]
+    for arguments in (["inspect", str(tmp_path / "none")], []):
+        assert main([*arguments, "--json"]) == 2
+        said = json.loads(capsys.readouterr().out)
+        assert said["error"].endswith("Error")
+        assert said["message"]
 
 
 def test_values_that_do_not_fit_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
