@@ -89,6 +89,8 @@ def read_mesh(path: Path, unit: str | None = None, up: str = "auto") -> MeshFile
         raise ExportError(f"unknown unit {unit!r}", expected=f"one of {', '.join(UNITS)}")
     if up not in UP:
         raise ExportError(f"unknown axis {up!r}", expected=f"one of {', '.join(UP)}")
+    if not path.exists():
+        raise ExportError("the mesh is not there", file=path, expected=f"a file: one of {' '.join(FORMATS)}")
     if (suffix := path.suffix.lower()) not in FORMATS:
         hint = "export it as one of these from the program that made it" + "; a .gltf as .glb" * (suffix == ".gltf")
         raise ExportError(

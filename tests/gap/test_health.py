@@ -14,7 +14,7 @@ from realsim.core.errors import GapError
 from realsim.gap import Case, DiagnoseConfig, Run, load_case
 from realsim.gap.case.health import examine, gathered
 from realsim.gap.case.health.conventions import log_conventions
-from realsim.gap.case.health.signals import spikes
+from realsim.gap.case.health.signals import beyond_range, spikes
 from realsim.gap.pipeline import limited
 from realsim.gap.simulation.simulate import Simulator
 from tests.truths.written import write_case
@@ -387,3 +387,20 @@ def test_encoders_that_come_up_late_are_borne(good: Case) -> None:
     found = health(spoiled(good, with_signal("joint_pos", late)))
     assert found["warnings"] == []
     assert found["start"]["farthest_from_rest"] < 0.1
+
+
+@pytest.mark.parametrize(("factor", "found"), [(1.0, 0), (65535 / 0.16, 1)])
+def test_commands_in_another_unit_lie_beyond_the_range(tmp_path: Path, factor: float, found: int) -> None:
+    t = np.arange(200) * 0.01
+    thrust = 0.08 + 0.02 * np.sin(t)[:, None]
+    pose = {"base_pos": np.ones((200, 1)) * [0, 0, 1.0], "base_quat": np.ones((200, 1)) * [1.0, 0, 0, 0]}
+    xml = """
+    <mujoco>
+      <worldbody><body name="drone"><freejoint/><geom size=".05" mass=".03"/><site name="hub"/></body></worldbody>
+      <actuator><motor name="m1" site="hub" gear="0 0 1 0 0 0" ctrllimited="true" ctrlrange="0 .16"/></actuator>
+    </mujoco>"""
+    run = {"time": t, "command": factor * thrust, "joint_pos": np.zeros((200, 0)), **pose}
+    case = load_case(write_case(tmp_path, xml, {"a": run}, command_kind="torque"))
+    notes = beyond_range(case)
+    assert len(notes) == found
+    assert all("m1: commanded beyond the model's range (0 to 0.16) in 100%" in note for note in notes)

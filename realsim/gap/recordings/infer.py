@@ -215,6 +215,7 @@ def _missing(e: Evidence) -> None:
             "base_quat": "the base's orientation", "base_pos": "the base's position",
             "imu_gyro": "angular velocity of the base", "contact": "which foot stands",
         }  # fmt: skip
+    optional.pop(proposal.place, None)  # needed: named above
     missing += [f"{role}: {what}{_why_not(e, role)}" for role, what in optional.items() if role not in have]
     if target is None:
         missing.append("--model: without it the order, signs and units of joints are not tested")

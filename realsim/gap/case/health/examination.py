@@ -9,7 +9,16 @@ import numpy as np
 from realsim.core.errors import GapError
 from realsim.gap.case.case import Case, Run
 from realsim.gap.case.health.conventions import log_conventions, nominal_conventions
-from realsim.gap.case.health.signals import clocks, initial_states, missing, noise, quanta, saturation, spikes
+from realsim.gap.case.health.signals import (
+    beyond_range,
+    clocks,
+    initial_states,
+    missing,
+    noise,
+    quanta,
+    saturation,
+    spikes,
+)
 from realsim.gap.case.model.channels import uncompared
 from realsim.gap.case.model.edit import Edit
 from realsim.gap.case.split import replicates
@@ -44,7 +53,7 @@ def examine(simulator: Simulator) -> dict[str, Any]:
     warnings += _failures(simulator)
     warnings += _excitation(case)
     gone, notes = missing(case)
-    warnings += notes + spikes(case) + uncompared(case)
+    warnings += notes + spikes(case) + uncompared(case) + beyond_range(case)
     nominal = simulator.simulate()
     warnings += nominal_conventions(simulator, nominal)
     start, notes = initial_states(simulator)

@@ -159,6 +159,22 @@ def _quantum(values: F64) -> float:
     return float(np.median(steps)) if steps else 0.0
 
 
+def beyond_range(case: Case) -> Notes:
+    """Actuators that are commanded beyond what the model lets them take, where the simulator cuts the command."""
+    model, notes = case.model, []
+    for u, name in enumerate(case.actuator_names):
+        actuator = model.actuator(name)
+        low, high = actuator.ctrlrange if actuator.ctrllimited[0] else (-np.inf, np.inf)
+        command = np.concatenate([run.command[:, u] for run in case.runs])
+        share = float(((command < low) | (command > high)).mean())
+        if share > MOSTLY:
+            notes.append(
+                f"{name}: commanded beyond the model's range ({low:.3g} to {high:.3g}) in {share:.0%} of the samples, "
+                f"up to {np.abs(command).max():.3g}: is it in the actuator's unit?"
+            )
+    return notes
+
+
 def saturation(simulator: Simulator) -> tuple[dict[str, Any], Notes]:
     """Share of samples at a limit by joint: the nominal drive's force range, and a flat top of the logged torque."""
     case, context = simulator.case, simulator.context
