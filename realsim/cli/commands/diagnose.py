@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
+from shlex import quote
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -210,7 +211,7 @@ def refuse_recording(path: Path) -> None:
             "this is a recording, not a case",
             file=path,
             expected="a folder with log.json, model.xml and runs/",
-            hint=f"realsim log {path} --model robot.xml --out case makes one",
+            hint=f"realsim log {quote(str(path))} --model robot.xml --out case makes one",
         )
 
 

@@ -1,6 +1,7 @@
 """`realsim excite`: the recording that decides between the rivals of an ambiguous diagnosis."""
 
 from pathlib import Path
+from shlex import quote
 from typing import Annotated
 
 import tyro
@@ -41,6 +42,6 @@ def excite(
     lines += [f"commands   {out / name}" for name in plan["files"]]
     lines.append(f"report     {out / 'report.html'}")
     where = case or (source if (source / "log.json").is_file() else "CASE")
-    lines.append(f"then       realsim diagnose {where} {out} --out decided")
+    lines.append(f"then       realsim diagnose {quote(str(where))} {quote(str(out))} --out decided")
     level = "good" if plan["decides"] else "look"
     return CommandResult("\n".join(lines), plan, 0, level)

@@ -1,6 +1,7 @@
 """`realsim export`: a scene in other formats."""
 
 from pathlib import Path
+from shlex import quote
 from typing import Annotated, Literal
 
 import tyro
@@ -43,7 +44,7 @@ def export(
         raise RealsimError(
             "no format given",
             expected=f"--to all, or some of {', '.join(EXPORTERS)}, separated by commas",
-            hint=f"realsim export {scenes[0] if scenes else 'SCENE'} --to usd,urdf",
+            hint=f"realsim export {quote(str(scenes[0])) if scenes else 'SCENE'} --to usd,urdf",
         )
     if not scenes:
         raise RealsimError("no scene given", expected="realsim export SCENE --to FORMATS")

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from shlex import quote
 from typing import Annotated
 
 import tyro
@@ -73,7 +74,7 @@ def log(
         case = gap.load_case(out)
         notes += [*(f"left out: {run}" for run in case.dropped_runs), *case.warnings]
         runs = f"{len(case.runs)} run{'s' * (len(case.runs) > 1)}"
-        steps = [f"look at {out / 'log.html'}", f"realsim diagnose {out} --check"]
+        steps = [f"look at {out / 'log.html'}", f"realsim diagnose {quote(str(out))} --check"]
         lines = [f"case    {out} ({runs})", *(f"note    {s}" for s in notes), *(f"next    {s}" for s in steps)]
         text += "\n".join(["", "", *lines])
         data |= {"case": str(out), "notes": notes}

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 import numpy as np
@@ -174,17 +175,18 @@ def load_case(folder: Path, recordings: Sequence[Path] = ()) -> Case:
         GapError: with the file, what was expected and what was found; names are matched to the closest ones.
     """
     folder = Path(folder)
+    given = quote(str(folder))
     if not folder.is_dir():
         raise GapError(
             "no such case", file=folder, expected="a folder with log.json, model.xml and runs/ with .npz or .csv",
-            hint=f"of a model: realsim diagnose --init {folder}; of a recording: realsim log {folder} --model robot.xml"
+            hint=f"of a model: realsim diagnose --init {given}; of a recording: realsim log {given} --model robot.xml"
             if folder.is_file() else None,
         )  # fmt: skip
     for name in ("log.json", "model.xml"):
         if not (folder / name).is_file():
             raise GapError(
                 f"{name} is missing", file=folder, expected="log.json, model.xml and runs/ with .npz or .csv",
-                hint=f"make a case of recordings: realsim log {folder} --model robot.xml --out case; or of a model: "
+                hint=f"make a case of recordings: realsim log {given} --model robot.xml --out case; or of a model: "
                 "realsim diagnose --init robot.xml --out case",
             )  # fmt: skip
     file = folder / "log.json"

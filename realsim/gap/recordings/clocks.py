@@ -7,6 +7,7 @@ straight line through the messages of least delay; what a message took on its wa
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from shlex import quote
 from typing import Any
 
 import numpy as np
@@ -80,7 +81,7 @@ def _of_stream(recording: Recording, stream: Stream) -> Clocked:
         found="; ".join(
             [", ".join(c for f in stream.fields.values() for c in f.columns) or ", ".join(stream.fields), *notes]
         )[:300],
-        hint=f"name its column: realsim log {recording.path} --use time=COLUMN; or, of even samples, give "
+        hint=f"name its column: realsim log {quote(str(recording.path))} --use time=COLUMN; or, of even samples, give "
         "their rate in Hz: --rate 100",
     )
 

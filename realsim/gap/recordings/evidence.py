@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from shlex import quote
 from typing import Any
 
 import numpy as np
@@ -156,5 +157,5 @@ def two_robots(recording: Recording, a: Candidate, b: Candidate) -> GapError:
         file=recording.path,
         expected="joints of one robot",
         found=f"{a.label} and {b.label} name the same joints and disagree",
-        hint=f"choose one: realsim log {recording.path} --only {a.stream.rsplit('/', 1)[0] or a.stream}",
+        hint=f"choose one: realsim log {quote(str(recording.path))} --only {a.stream.rsplit('/', 1)[0] or a.stream}",
     )
