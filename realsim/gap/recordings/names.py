@@ -6,7 +6,17 @@ from collections.abc import Sequence
 import numpy as np
 
 from realsim.core.types import F64
-from realsim.gap.recordings.vocabulary import KINDS, SIDES, SIGNALS, TIMES, english, plain, time_unit, unit_of
+from realsim.gap.recordings.vocabulary import (
+    KINDS,
+    SIDES,
+    SIGNALS,
+    TIMES,
+    english,
+    plain,
+    split_unit,
+    time_unit,
+    unit_of,
+)
 
 JOINTS = ("joint_pos", "joint_vel", "joint_torque")
 ROLES = ("command", "enabled", *JOINTS, "base_pos", "base_quat", "imu_gyro", "imu_acc", "contact", "policy_command")
@@ -141,7 +151,7 @@ def meaning(stream: str, kind: str, member: str) -> tuple[str, str, str]:
     if known_type(kind):
         return "", "", ""  # the type is known, and this member is none of these
     unit = unit_of(member) or next((u for name, u in IN_TURNS.items() if name in plain(member)), "")
-    above, _, ending = member.rpartition(".")
+    above, _, ending = split_unit(member)[0].rpartition(".")  # `J3.ist.mm`
     over = set(english(above.rpartition(".")[2])) & {"target", *KINDS} or len(plain(ending)) < 2  # Ist.A of Ist.A1
     over = over and not set(english(ending)) & set(SIGNALS)
     if ending in ("data", "values", "value") or over:
