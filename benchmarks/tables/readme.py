@@ -45,7 +45,7 @@ def readme() -> list[str]:
         (
             "Diagnosis: `identified` with exactly the true cause / with pairs",
             f"{of(found['one cause: `identified`, with exactly that cause'])} / {of(exact)}",
-            f"{len(rows_of())} of {sum(DRAWN.values())} logs, fresh seeds {', '.join(map(str, DRAWN))}",
+            f"{len(rows_of())} of {sum(DRAWN.values())} logs, never seen: seed {', '.join(map(str, DRAWN))}",
         ),
         (
             "Diagnosis: cause named first / false alarms",
