@@ -63,7 +63,7 @@ class Reading:
 
 
 def _plain(value: Any) -> Any:
-    """What other processes can be told."""
+    """What can be sent to other processes."""
     return value if value is None or isinstance(value, np.ndarray | float | int | str) else repr(value)
 
 

@@ -13,7 +13,7 @@ DEEP = 0.015  # metres inside a solid
 HELD = RADIUS / 2  # metres by which a ball overlaps parts that push it into each other, by all of its radius at a plain
 # seam; what lies on a surface overlaps it by less than a millimetre
 FALL = 0.5  # metres above the surface below from which a ball falls: a foot comes down no faster than 3 m/s, and...
-LANDS = 2.0  # ...no slower than this, metres a second: on a low thing there is no height to fall from
+LANDS = 2.0  # ...no slower than this, metres a second, on a low thing too (as in benchmarks/contact/clean_meshes.py)
 MOST_EDGES = 100_000  # of the geoms that are looked at, for memory
 SETTLED = 10  # looks at the end in all of which a leak is inside
 LOOKS = 100  # times a second that a ball's place is noted

@@ -26,9 +26,11 @@ from realsim.core.text_table import number
 from realsim.gap.recordings.recording import readable
 
 LEAST = 5
-"""Records alike from which a text is one of records."""
+"""Records alike from which a text is one of records. Set by hand: a letter or a settings file has fewer."""
 HEAD = 2**16
+"""Bytes by which a text is recognised."""
 MAX_BYTES = 256 * 2**20
+"""Of a text that is parsed as a whole, for memory."""
 MAX_DEPTH = 40
 Tagged = tuple[str, Mapping[str, Any]]
 """A record and whose it is: a topic, a tag, the words before it."""
