@@ -1,6 +1,6 @@
-"""How good are reconstructions, what do they cost, and how do others do on the same frames?
+"""How good are reconstructions, and what do they cost?
 
-    python benchmarks/scenes/reconstruct.py  the three rendered captures, two peers
+    python benchmarks/scenes/reconstruct.py  the three rendered captures
     python benchmarks/scenes/reconstruct.py --captures stake_a
 
 Captures come from REALSIM_SHARED (default ../shared); `score.py` there measures every mesh. They are not part of this
@@ -39,8 +39,6 @@ class Options:
     """Rendered captures of REALSIM_SHARED/captures."""
     poses: tuple[str, ...] = ("given", "hidden")
     """With the capture's poses, without them, or both."""
-    peers: bool = True
-    """Run Open3D's steps and plain TSDF with true poses beside it."""
     keep: Path | None = None
     """Keep the scenes in this folder."""
 
@@ -79,27 +77,12 @@ _COLUMNS = (
 
 
 def rendered(name: str, options: Options, work: Path) -> Iterator[Row]:
-    """One capture with exact truth: realsim with and without poses, and the peers."""
-    from benchmarks.scenes import reconstruct_peers as peers
-
+    """One capture with exact truth: with its poses and without."""
     source, gt = SHARED / "captures" / name / "capture", SHARED / "captures" / name / "gt"
     for mode in options.poses:
         out = work / f"{name}-{mode}"
         cost = measured(_reconstruct, source, out, MODES[mode])
         yield {"capture": name, "method": f"realsim, poses {mode}", **cost, **score(out, gt)}
-    if options.peers:
-        truth = read_truth(gt)
-        for method, run in (("open3d steps", peers.open3d_steps), ("tsdf, true poses", peers.tsdf_with_true_poses)):
-            out = work / f"{name}-{method.split(',')[0].replace(' ', '-')}"
-            cost = measured(run, source, out, truth)
-            yield {"capture": name, "method": method, **cost, **score(out, gt)}
-
-
-def read_truth(gt: Path) -> dict[str, Any]:
-    """Poses and frame of the truth, JSON-able."""
-    poses = json.loads((gt / "gt_poses.json").read_text())
-    T = json.loads((gt / "gt.json").read_text())["T_sim_from_world"]
-    return {"T_sim_world": T, "T_world_camera": [p["T_world_cam"] for p in poses], "names": [p["index"] for p in poses]}
 
 
 def score(out: Path, gt: Path) -> Row:

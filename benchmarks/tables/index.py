@@ -6,7 +6,7 @@ from typing import Any
 from benchmarks.diagnosis import sweep as gap_sweep
 from benchmarks.diagnosis import unstable as gap_unstable
 from benchmarks.tables.stored import Row, stored
-from benchmarks.training import base_policy, captures, ladder, parkour, pushes, trials, ttt
+from benchmarks.training import base_policy, captures, ladder, pushes, trials, ttt
 
 INDEX = (
     (
@@ -108,11 +108,6 @@ INDEX = (
         "python benchmarks/training/captures.py run",
     ),
     (
-        "From frames to a tuned policy, by the clock",
-        "parkour",
-        "python benchmarks/training/parkour.py --part scene, policy",
-    ),
-    (
         "Fine-tuning with a diagnosis, beside randomisation alone",
         "close_the_gap",
         "python benchmarks/training/closed_loop.py",
@@ -154,7 +149,6 @@ KEYS = {
     "ttt_worlds": (*ttt.KEY, "worlds"),
     "tuned_captures": captures.KEY,
     "loops": ("place",),
-    "parkour": parkour.KEY,
 }
 """File -> the values that tell its rows apart; each row says by `run` or `commit` what made it."""
 
