@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from realsim.gap import EFFECTS, DiagnoseConfig, apply_patch, diagnose, figures, load_case, run_case
 from realsim.gap.case.model.context import kind_of, like_joints
-from realsim.gap.effects.payload import add_point_mass
-from realsim.gap.effects.terrain_tilt import quaternion, rotation
+from realsim.gap.case.model.edit import add_point_mass
+from realsim.gap.effects.ground import quaternion, rotation
 from realsim.gap.inference.likelihood.comparison import Comparison
 from realsim.gap.inference.likelihood.linear import bounded, log_evidence, misfit_at, posterior, scaled
 from realsim.gap.inference.likelihood.screen import Candidate

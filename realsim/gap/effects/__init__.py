@@ -1,4 +1,4 @@
-"""The library of effects: a file a law, one line here an effect; your own packages add more (`realsim.effects`)."""
+"""The library of effects: a file a kind, one line here an effect; your own packages add more (`realsim.effects`)."""
 
 from __future__ import annotations
 
@@ -69,55 +69,47 @@ def _guarded(effect: Effect, home: str) -> Effect:
     )
 
 
-_SHARED = {
-    "command_delay": "delays:COMMAND",
-    "observation_delay": "delays:OBSERVATION",
-    "actuator_lag": "delays:LAG",
-    **{name: f"camera:{name.upper()}" for name in ("camera_delay", "camera_mount", "depth_noise")},
+_FILES = {
+    "command_delay": "delays",
+    "actuator_lag": "delays",
+    "motor_gain": "drives",
+    "stiffness_gain": "drives",
+    "damping_gain": "drives",
+    "torque_limit": "drives",
+    "torque_speed_limit": "drives",
+    "coulomb_friction": "friction",
+    "viscous_friction": "friction",
+    "stribeck_friction": "friction",
+    "load_friction": "friction",
+    "armature": "joints",
+    "backlash": "backlash",
+    "joint_offset": "joint_offset",
+    "joint_compliance": "joints",
+    "payload": "bodies",
+    "com_offset": "bodies",
+    "link_inertia": "bodies",
+    "ground_friction": "ground",
+    "contact_compliance": "ground",
+    "terrain_height": "ground",
+    "terrain_tilt": "ground",
+    "terrain_scale": "ground",
+    "terrain_wobble": "ground",
+    "observation_delay": "delays",
+    "imu_bias": "imu_bias",
+    "camera_delay": "camera",
+    "camera_mount": "camera",
+    "depth_noise": "camera",
+    "external_force": "bodies",
+    "link_geometry": "bodies",
+    "friction_of_joints": "friction",
+    "position_torque": "joints",
+    "thrust_gain": "drives",
+    "tendon_gain": "drives",
 }
-"""Effects of one law, in one file."""
+"""Effect -> the file of its kind, in which it is a constant of the same name."""
 EFFECTS = Effects(
     "effect",
-    {
-        name: f"realsim.gap.effects.{_SHARED.get(name, f'{name}:EFFECT')}"
-        for name in (
-            "command_delay",
-            "actuator_lag",
-            "motor_gain",
-            "stiffness_gain",
-            "damping_gain",
-            "torque_limit",
-            "torque_speed_limit",
-            "coulomb_friction",
-            "viscous_friction",
-            "stribeck_friction",
-            "load_friction",
-            "armature",
-            "backlash",
-            "joint_offset",
-            "joint_compliance",
-            "payload",
-            "com_offset",
-            "link_inertia",
-            "ground_friction",
-            "contact_compliance",
-            "terrain_height",
-            "terrain_tilt",
-            "terrain_scale",
-            "terrain_wobble",
-            "observation_delay",
-            "imu_bias",
-            "camera_delay",
-            "camera_mount",
-            "depth_noise",
-            "external_force",
-            "link_geometry",
-            "friction_of_joints",
-            "position_torque",
-            "thrust_gain",
-            "tendon_gain",
-        )
-    },
+    {name: f"realsim.gap.effects.{file}:{name.upper()}" for name, file in _FILES.items()},
     group="realsim.effects",
 )
 

@@ -40,7 +40,7 @@ def _suggests(context: Context, place: Place, values: dict[str, float]) -> list[
     return [Suggestion("joint_offset", place, {"reading_offset": side * values["gap"]}) for side in (0.5, -0.5)]
 
 
-EFFECT = Effect(
+BACKLASH = Effect(
     name="backlash",
     where=JOINTS,
     parameters=fixed(Parameter("gap", "rad", (0.0, 0.3), 0.02)),

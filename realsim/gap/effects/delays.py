@@ -51,7 +51,7 @@ def delay(name: str, twin: str, where: Where, words: Words, commoner: str | None
     )
 
 
-COMMAND = delay(
+COMMAND_DELAY = delay(
     "command_delay",
     "observation_delay",
     EVERYWHERE,
@@ -71,7 +71,7 @@ COMMAND = delay(
         changed_by="other software or another bus",
     ),
 )
-OBSERVATION = delay(
+OBSERVATION_DELAY = delay(
     "observation_delay",
     "command_delay",
     Where("global", lambda context: [()] if context.case.joint_names else []),
@@ -102,7 +102,7 @@ def _apply_lag(edit: Edit, place: Place, values: dict[str, float]) -> None:
     edit.signals.actuator_lag += values["lag"]
 
 
-LAG = Effect(
+ACTUATOR_LAG = Effect(
     name="actuator_lag",
     where=Where("global", lambda context: [()] if len(context.case.lags) == len(context.case.actuator_names) else []),
     parameters=_lag_parameters,

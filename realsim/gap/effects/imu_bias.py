@@ -22,7 +22,7 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
     signals.acc_bias = (x + values["acc_x"], y + values["acc_y"], z + values["acc_z"])
 
 
-EFFECT = Effect(
+IMU_BIAS = Effect(
     name="imu_bias",
     where=Where("global", lambda context: [()] if context.case.has_imu else []),
     parameters=_parameters,

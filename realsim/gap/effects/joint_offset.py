@@ -31,7 +31,7 @@ def _suggests(context: Context, place: Place, values: dict[str, float]) -> list[
     return [Suggestion("backlash", place, {"gap": 2 * abs(read)})] if read else []
 
 
-EFFECT = Effect(
+JOINT_OFFSET = Effect(
     name="joint_offset",
     where=JOINTS,
     parameters=fixed(

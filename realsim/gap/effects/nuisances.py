@@ -14,7 +14,7 @@ import numpy as np
 from realsim.gap import figures
 from realsim.gap.case.model.edit import Edit
 from realsim.gap.effects.base import Effect, Parameter, Place, Where, Words, fixed
-from realsim.gap.effects.thrust_gain import thrusters
+from realsim.gap.effects.drives import thrusters
 
 if TYPE_CHECKING:
     from realsim.gap.case.model.context import Context

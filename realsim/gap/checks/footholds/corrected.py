@@ -11,7 +11,7 @@ from realsim.gap.answer.patch import asset_files
 from realsim.gap.case.model.edit import put
 from realsim.gap.checks.camera.terrain import Terrain
 from realsim.gap.checks.footholds.footholds import Foothold, FootholdMap
-from realsim.gap.effects.terrain_tilt import multiply, quaternion
+from realsim.gap.effects.ground import multiply, quaternion
 
 
 def write_corrected(folder: Path, terrain: Terrain, found: FootholdMap, weight: float) -> list[str]:
