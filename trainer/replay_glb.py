@@ -28,7 +28,9 @@ def glb(recording: Recording, robot: TrainedRobot, terrain: Terrain, path: str |
     root = file.node("course", rotation=Z_UP_TO_Y_UP)
     ground = _ground(terrain)
     file.node("ground", parent=root, mesh=_mesh(file, "ground", *ground, colour=(0.33, 0.36, 0.39)))
-    vertices, triangles = _terrain_mesh(terrain)
+    # Triangles with corners of their own, so that faces are drawn flat.
+    corners = terrain.vertices[terrain.triangles].reshape(-1, 3)
+    vertices, triangles = corners, np.arange(len(corners)).reshape(-1, 3)
     if len(triangles):
         file.node("terrain", parent=root, mesh=_mesh(file, "terrain", vertices, triangles, colour=(0.72, 0.6, 0.45)))
     times = np.arange(len(recording.qpos)) * recording.dt
@@ -89,12 +91,6 @@ def _body_mesh(model: Any, body: int) -> tuple[F64, NDArray[np.int64]] | None:
         return None
     whole: Any = trimesh.util.concatenate(parts)
     return np.asarray(whole.vertices), np.asarray(whole.faces)
-
-
-def _terrain_mesh(terrain: Terrain) -> tuple[F64, NDArray[np.int64]]:
-    """Triangles with corners of their own, so that faces are drawn flat."""
-    corners = terrain.vertices[terrain.triangles].reshape(-1, 3)
-    return corners, np.arange(len(corners)).reshape(-1, 3)
 
 
 def _ground(terrain: Terrain) -> tuple[F64, NDArray[np.int64]]:

@@ -30,7 +30,10 @@ def inside_out(points: F64, normals: F64, up: F64 | None) -> bool:
         up: (3,) unit, or None.
     """
     if is_closed(normals):
-        return _faces_inward(points, normals)
+        # Of a closed surface: a negative volume, and no room. Its thickness is its volume by the area of its shadow.
+        volume = float(np.einsum("ij,ij->i", normals, points - points.mean(0)).mean()) / 3
+        shadow = float(np.abs(normals @ main_direction(normals)).mean()) / 2
+        return -ROOM < volume / shadow < 0
     if up is not None:
         facing = normals @ up
         upper, lower = np.mean(facing > 0.5), np.mean(facing < -0.5)
@@ -41,13 +44,6 @@ def inside_out(points: F64, normals: F64, up: F64 | None) -> bool:
 def is_closed(normals: F64) -> bool:
     """Whether unit normals (M, 3), spread evenly over a surface, add up to nothing, as those of solids do."""
     return bool(np.linalg.norm(normals.mean(0)) < CLOSED)
-
-
-def _faces_inward(points: F64, normals: F64) -> bool:
-    """Of a closed surface: a negative volume, and no room. Its thickness is its volume by the area of its shadow."""
-    volume = float(np.einsum("ij,ij->i", normals, points - points.mean(0)).mean()) / 3
-    shadow = float(np.abs(normals @ main_direction(normals)).mean()) / 2
-    return -ROOM < volume / shadow < 0
 
 
 def _rest_behind(points: F64, normals: F64) -> bool:

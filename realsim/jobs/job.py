@@ -167,7 +167,8 @@ def carry_out(job: Job, folder: Path, threads: int | None = None, stop: threadin
         log = (place / "log.txt").open("wb")
     with log, tempfile.TemporaryFile() as out:
         code = _run(job, out, log, threads, stop)
-        result = _read_result(out, code, place / "log.txt")
+        out.seek(0)
+        result = answer_of(out.read(MOST_OUTPUT + 1), (place / "log.txt").read_bytes(), code)
     outcome = Outcome(job.name, code, result, round(time.monotonic() - began, 3))
     if stop is None or not stop.is_set():
         write_text(place / "result.json", to_json(asdict(outcome)))
@@ -196,9 +197,3 @@ def _run(job: Job, out: IO[bytes], log: IO[bytes], threads: int | None, stop: th
             except subprocess.TimeoutExpired:
                 process.kill()
     return process.wait()
-
-
-def _read_result(out: IO[bytes], code: int, log: Path) -> dict[str, Any]:
-    """What a command printed with `--json`, or that it printed nothing of the kind."""
-    out.seek(0)
-    return answer_of(out.read(MOST_OUTPUT + 1), log.read_bytes(), code)

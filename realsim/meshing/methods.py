@@ -33,7 +33,39 @@ def poisson(aligned: AlignedScene, evidence: Evidence) -> Surface:
 
 def tsdf(aligned: AlignedScene, evidence: Evidence) -> Surface:
     """Signed distance fusion of the depth, trimmed to what was measured."""
-    surface = fused_distance(aligned, evidence.resolution)
+    from realsim.core.open3d import o3d
+
+    o3c = o3d.core
+
+    metric = aligned.metric
+    assert metric is not None
+    size = aligned.bounds[1] - aligned.bounds[0]
+    blocks = int(4 * np.prod(np.ceil(size / (BLOCK * evidence.resolution)) + 1)) + 1000
+    grid = o3d.t.geometry.VoxelBlockGrid(
+        ("tsdf", "weight"),
+        (o3c.float32, o3c.float32),
+        (o3c.SizeVector([1]), o3c.SizeVector([1])),
+        evidence.resolution,
+        BLOCK,
+        blocks,
+    )
+    far = float(np.linalg.norm(size) + 10)
+    for i in track(range(len(metric)), "fusing"):
+        view = metric.load(i)
+        T_sim_camera = aligned.T_sim_camera(i)
+        P = view.points.reshape(-1, 3).astype(np.float64) @ T_sim_camera[:3, :3].T + T_sim_camera[:3, 3]
+        inside = ((aligned.bounds[0] < P) & (aligned.bounds[1] > P)).all(1).reshape(view.mask.shape)
+        z = np.where(view.mask & inside, view.points[..., 2], 0).astype(np.float32)
+        if not (z > 0).any():
+            continue
+        depth = o3d.t.geometry.Image(np.ascontiguousarray(z))
+        K = o3c.Tensor.from_numpy(camera_of(metric.frames[i], view).K)
+        # Open3D integrates in the world that the extrinsic leads from; ours is the simulation frame.
+        E = o3c.Tensor.from_numpy(invert_T(make_T(T_sim_camera[:3, :3], T_sim_camera[:3, 3])))
+        touched = grid.compute_unique_block_coordinates(depth, K, E, 1.0, far)
+        grid.integrate(touched, depth, K, E, 1.0, far)
+    mesh = grid.extract_triangle_mesh(weight_threshold=min(3.0, len(metric))).to_legacy()
+    surface = Surface(np.asarray(mesh.vertices).copy(), np.asarray(mesh.triangles).astype(np.int32).reshape(-1, 3))
     return _trimmed(surface, evidence)
 
 
@@ -101,44 +133,3 @@ def without_solver_warnings() -> Iterator[None]:
         os.close(stream)
         with suppress(subprocess.TimeoutExpired):  # a process that began meanwhile keeps the stream open
             reader.wait(5)
-
-
-def fused_distance(aligned: AlignedScene, resolution: float, min_weight: float = 3.0) -> Surface:
-    """The zero surface of the fused distance inside the bounds, voxels of `resolution` metres.
-
-    Args:
-        min_weight: views that must have contributed to a voxel.
-    """
-    from realsim.core.open3d import o3d
-
-    o3c = o3d.core
-
-    metric = aligned.metric
-    assert metric is not None
-    size = aligned.bounds[1] - aligned.bounds[0]
-    blocks = int(4 * np.prod(np.ceil(size / (BLOCK * resolution)) + 1)) + 1000
-    grid = o3d.t.geometry.VoxelBlockGrid(
-        ("tsdf", "weight"),
-        (o3c.float32, o3c.float32),
-        (o3c.SizeVector([1]), o3c.SizeVector([1])),
-        resolution,
-        BLOCK,
-        blocks,
-    )
-    far = float(np.linalg.norm(size) + 10)
-    for i in track(range(len(metric)), "fusing"):
-        view = metric.load(i)
-        T_sim_camera = aligned.T_sim_camera(i)
-        P = view.points.reshape(-1, 3).astype(np.float64) @ T_sim_camera[:3, :3].T + T_sim_camera[:3, 3]
-        inside = ((aligned.bounds[0] < P) & (aligned.bounds[1] > P)).all(1).reshape(view.mask.shape)
-        z = np.where(view.mask & inside, view.points[..., 2], 0).astype(np.float32)
-        if not (z > 0).any():
-            continue
-        depth = o3d.t.geometry.Image(np.ascontiguousarray(z))
-        K = o3c.Tensor.from_numpy(camera_of(metric.frames[i], view).K)
-        # Open3D integrates in the world that the extrinsic leads from; ours is the simulation frame.
-        E = o3c.Tensor.from_numpy(invert_T(make_T(T_sim_camera[:3, :3], T_sim_camera[:3, 3])))
-        touched = grid.compute_unique_block_coordinates(depth, K, E, 1.0, far)
-        grid.integrate(touched, depth, K, E, 1.0, far)
-    mesh = grid.extract_triangle_mesh(weight_threshold=min(min_weight, len(metric))).to_legacy()
-    return Surface(np.asarray(mesh.vertices).copy(), np.asarray(mesh.triangles).astype(np.int32).reshape(-1, 3))

@@ -26,6 +26,8 @@ def write_contact_page(folder: Path, files: SceneFiles) -> None:
     """
     c = files.contact
     verdict = c["verdict"]
+    mended = files.contact["mended"]
+    parts = ["<h4>Warnings</h4>", page.bullets(files.warnings), "<h4>Mended</h4>", page.bullets(mended)]
     body = [
         page.verdict(verdict["level"], verdict["headline"], verdict["reasons"], verdict["next"]),
         page.facts(
@@ -44,7 +46,9 @@ def write_contact_page(folder: Path, files: SceneFiles) -> None:
                 wide=True,
             )
         ),
-        page.columns([*map_card(files, [])], [_notes(files), use_card(folder)]),
+        page.columns(
+            [*map_card(files, [])], [page.card("Warnings and what was mended", "".join(parts)), use_card(folder)]
+        ),
         page.folded("All figures", page.table(("figure", "value"), rows(c))),
     ]
     subtitle = f"ground {c['ground']}, collision geometry {c['representation']}"
@@ -66,9 +70,3 @@ def _view(folder: Path, files: SceneFiles) -> str:
     layers = [Layer("mesh", V, F, C), *collision_layers(model), *robot_layers(model, data), axes_layer()]
     layers += marks_layer(leaks_of(files.contact))
     return viewer(layers, label="the mesh and its collision geometry in 3D", azimuth=float(model.vis.global_.azimuth))
-
-
-def _notes(files: SceneFiles) -> str:
-    mended = files.contact["mended"]
-    parts = ["<h4>Warnings</h4>", page.bullets(files.warnings), "<h4>Mended</h4>", page.bullets(mended)]
-    return page.card("Warnings and what was mended", "".join(parts))

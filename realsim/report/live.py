@@ -57,7 +57,12 @@ def view(folder: Path, port: int = 8080, *, wait: bool = True) -> Any:
     server.scene.set_up_direction("+z")
     server.scene.world_axes.visible = True
     _light(server)
-    _start_at(server, model, data)
+    # The first camera shows the terrain from the side on which it was seen, as scene.xml says.
+    target, distance, azimuth, elevation = standpoint(model, data, np.degrees(server.initial_camera.fov), 1.0)
+    a, e = np.radians([azimuth, elevation])
+    ahead = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+    server.initial_camera.look_at = target
+    server.initial_camera.position = target - distance * ahead
     _switch(server, "mesh", _mesh(server, folder / "mesh.glb"))
     _switch(server, "cloud", _cloud(server, folder / "mesh.ply"), on=False)
     _switch(server, "collision", _collision(server, folder / "scene.xml"))
@@ -104,15 +109,6 @@ def _light(server: Any) -> None:
     server.scene.configure_environment_map(hdri=None)
     server.scene.add_light_ambient("/light/all", intensity=2.4)
     server.scene.add_light_directional("/light/sun", intensity=1.0, position=(3.0, -4.0, 8.0))
-
-
-def _start_at(server: Any, model: Any, data: Any) -> None:
-    """The first camera shows the terrain from the side on which it was seen, as scene.xml says."""
-    target, distance, azimuth, elevation = standpoint(model, data, np.degrees(server.initial_camera.fov), 1.0)
-    a, e = np.radians([azimuth, elevation])
-    ahead = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
-    server.initial_camera.look_at = target
-    server.initial_camera.position = target - distance * ahead
 
 
 def _switch(server: Any, name: str, handles: list[Any], *, on: bool = True) -> None:

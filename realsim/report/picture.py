@@ -89,11 +89,7 @@ def standpoint(model: Any, data: Any, fovy: float, aspect: float) -> tuple[F64, 
     """
     view = model.vis.global_
     azimuth, elevation = float(view.azimuth), float(view.elevation)
-    return *_fitted(_corners(model, data), azimuth, elevation, fovy, aspect), azimuth, elevation
-
-
-def _corners(model: Any, data: Any) -> Any:
-    """(8 N, 3) corners of the boxes around all geoms but endless planes, in the world."""
+    # (8 N, 3) corners of the boxes around all geoms but endless planes, in the world.
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
     corners = [
         (model.geom_aabb[g, :3] + signs * model.geom_aabb[g, 3:]) @ data.geom_xmat[g].reshape(3, 3).T
@@ -101,7 +97,7 @@ def _corners(model: Any, data: Any) -> Any:
         for g in range(model.ngeom)
         if model.geom_type[g] != 0
     ]
-    return np.vstack(corners) if corners else signs
+    return *_fitted(np.vstack(corners) if corners else signs, azimuth, elevation, fovy, aspect), azimuth, elevation
 
 
 def _fitted(points: Any, azimuth: float, elevation: float, fovy: float, aspect: float) -> tuple[Any, float]:

@@ -239,7 +239,10 @@ def _coverage(result: Reconstruction) -> Iterator[Check]:
     way, it is for a person to judge."""
     found = result.mesh.statistics.get("unseen", {})
     advice = _look_from(result)
-    share = unseen_share(result)
+    # Share of the upward-facing surface that was invented.
+    mesh = result.mesh
+    up = np.maximum(across(mesh.vertices, mesh.triangles)[:, 2] / 2, 0)  # areas as seen from above
+    share = float(up[mesh.invented].sum() / max(up.sum(), 1e-12))
     if found.get("way_area_m2", 0) > 0:
         on_way = found["way_unseen_m2"] / found["way_area_m2"]
         name = "Ground and tops on the way from start to goal that no camera saw"
@@ -273,13 +276,6 @@ def _look_from(result: Reconstruction) -> str:
         f"record again {where}, about x {x:.1f}, y {y:.1f} m at eye height: from there {percent(found['share'])} of "
         "what is missing would be in view"
     )
-
-
-def unseen_share(result: Reconstruction) -> float:
-    """Share of the upward-facing surface that was invented."""
-    mesh = result.mesh
-    up = np.maximum(across(mesh.vertices, mesh.triangles)[:, 2] / 2, 0)  # areas as seen from above
-    return float(up[mesh.invented].sum() / max(up.sum(), 1e-12))
 
 
 def _contact(result: Reconstruction) -> Iterator[Check]:

@@ -89,10 +89,6 @@ def _floor(rng: np.random.Generator, n: int, material: str) -> NDArray:
     stains, specks = 0.05 * noise(rng, n, 2, 60), -0.16 * (noise(rng, n, 150, 700) > 2.3)
     image = _mix((0.50, 0.50, 0.49), shade, stains, 0.02 * noise(rng, n, 200, 1000), specks)
     image *= 1 - 0.45 * np.maximum(joint[:, None], joint[None, :])[..., None]
-    return _tapes(image, rng)
-
-
-def _tapes(image: NDArray, rng: np.random.Generator) -> NDArray:
     import cv2
 
     colors = ((0.82, 0.74, 0.20), (0.16, 0.34, 0.66), (0.82, 0.82, 0.80), (0.15, 0.15, 0.17))

@@ -108,7 +108,7 @@ def deploy(
             if -reading.gravity[2] < math.cos(config.max_tilt):
                 report.reason = "tilted"
                 break
-            speed = _speed(config, report.steps * facts.policy_dt)
+            speed = config.speed * (min(1.0, report.steps * facts.policy_dt / config.ramp) if config.ramp else 1.0)
             ahead = np.array([speed, 0.0, 0.0])
             command = steer(speed) if observe.steered and steer is not None else ahead
             inputs = observe(reading, command, action)
@@ -166,7 +166,3 @@ def _broken(reading: Reading, default: NDArray[np.float64]) -> str | None:
     if (abs(reading.joint_pos - default) > 4 * np.pi).any():  # targets stay near readings, and would follow
         return "joint_pos is more than two turns from the default pose"
     return None
-
-
-def _speed(config: DeployConfig, seconds: float) -> float:
-    return config.speed * (min(1.0, seconds / config.ramp) if config.ramp else 1.0)

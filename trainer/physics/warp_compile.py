@@ -37,7 +37,7 @@ def compile_for(function: Callable[[], Any], device: Any) -> float:
     """
     began = time.perf_counter()
     wanted = _modules(function)
-    waiting = [(module, size) for module, size in wanted if not _loaded(module, device)]
+    waiting = [(module, size) for module, size in wanted if all(key[0] != device.context for key in module.execs)]
     if not waiting:
         return 0.0
     workers = max(1, min(len(waiting), len(os.sched_getaffinity(0))))
@@ -92,7 +92,3 @@ def _modules(function: Callable[[], Any]) -> list[tuple[Any, int | None]]:
     ):
         function()
     return list(found.values())
-
-
-def _loaded(module: Any, device: Any) -> bool:
-    return any(key[0] == device.context for key in module.execs)

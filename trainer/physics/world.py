@@ -59,7 +59,17 @@ def world_spec(
             terrain's own.
     """
     spec = robot.robot.spec.copy()
-    _set_options(spec, config)
+    # Newton with few iterations: contacts of capsules on boxes converge within them, and the batch keeps in step.
+    spec.option.timestep = config.timestep
+    # The servos' damping acts implicitly: explicit integration of kd / armature = 250 / s at 5 ms would ring.
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.cone = getattr(mujoco.mjtCone, f"mjCONE_{config.cone.upper()}")
+    spec.option.solver = getattr(mujoco.mjtSolver, f"mjSOL_{config.solver.upper()}")
+    spec.option.iterations = config.iterations
+    spec.option.ls_iterations = config.ls_iterations
+    spec.option.jacobian = getattr(mujoco.mjtJacobian, f"mjJAC_{config.jacobian.upper()}")
+    # A world that went wrong is reported by the engine, not silently restarted from the zero pose.
+    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     for geom in spec.geoms:
         if not (geom.contype or geom.conaffinity):
             continue  # only drawn
@@ -97,20 +107,6 @@ def check_order(robot: TrainedRobot, model: Any) -> None:
             expected="a free joint, then one actuator per hinge in the order of the body tree",
             found=f"joints {joints}, actuators on {actuated}",
         )
-
-
-def _set_options(spec: Any, config: PhysicsConfig) -> None:
-    """Newton with few iterations: contacts of capsules on boxes converge within them, and the batch keeps in step."""
-    spec.option.timestep = config.timestep
-    # The servos' damping acts implicitly: explicit integration of kd / armature = 250 / s at 5 ms would ring.
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    spec.option.cone = getattr(mujoco.mjtCone, f"mjCONE_{config.cone.upper()}")
-    spec.option.solver = getattr(mujoco.mjtSolver, f"mjSOL_{config.solver.upper()}")
-    spec.option.iterations = config.iterations
-    spec.option.ls_iterations = config.ls_iterations
-    spec.option.jacobian = getattr(mujoco.mjtJacobian, f"mjJAC_{config.jacobian.upper()}")
-    # A world that went wrong is reported by the engine, not silently restarted from the zero pose.
-    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
 
 
 def _add_terrain_geom(parent: Any, **fields: Any) -> None:

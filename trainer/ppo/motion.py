@@ -59,15 +59,12 @@ def cycle(robot: TrainedRobot, gait: Gait, speed: float, dt: float) -> tuple[F64
     joints, feet = np.empty((count, len(robot.joints))), np.empty((count, len(robot.feet), 3))
     q = robot.default.copy()
     for step in (*range(count), *range(count)):  # twice: the first round finds the cycle, the second keeps it
-        target = stand + np.array([_foot(gait, speed, step / count + _offset(i)) for i in range(len(robot.feet))])
+        # Half a cycle between left and right, and between front and rear on the same side (feet come left, right).
+        phases = [step / count + 0.5 * ((i % 2) ^ (i // 2 % 2)) for i in range(len(robot.feet))]
+        target = stand + np.array([_foot(gait, speed, phase) for phase in phases])
         q = legs.reach(q, target)
         joints[step], feet[step] = q, legs.feet(q)
     return joints, feet
-
-
-def _offset(foot: int) -> float:
-    """Half a cycle between left and right, and between front and rear on the same side (feet come left, right)."""
-    return 0.5 * ((foot % 2) ^ (foot // 2 % 2))
 
 
 def _foot(gait: Gait, speed: float, phase: float) -> F64:

@@ -14,12 +14,7 @@ def rotate(q: Tensor, v: Tensor) -> Tensor:
 
 def rotate_back(q: Tensor, v: Tensor) -> Tensor:
     """(..., 3) vectors v turned by the inverse of q: from world axes to those of the body whose pose is q."""
-    return rotate(conjugate(q), v)
-
-
-def conjugate(q: Tensor) -> Tensor:
-    """(..., 4) the inverse of unit quaternions."""
-    return torch.cat([q[..., :1], -q[..., 1:]], -1)
+    return rotate(torch.cat([q[..., :1], -q[..., 1:]], -1), v)
 
 
 def multiply(a: Tensor, b: Tensor) -> Tensor:

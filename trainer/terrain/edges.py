@@ -1,7 +1,5 @@
 """Edges of footholds: where a sole can slip off. The reward for placing feet looks at them (the paper's appendix)."""
 
-from typing import Any
-
 import numpy as np
 
 from realsim.core.geometry import make_T, quat_to_R, transform
@@ -50,19 +48,10 @@ def convex_parts(terrain: Terrain) -> list[Convex]:
     """The terrain's contact geometry as convex parts."""
     if terrain.contact is None:
         return [_of_box(b) for b in terrain.boxes]
-    return _of_spec(terrain.contact)
-
-
-def _of_box(box: Box) -> Convex:
-    points = corners(box)
-    return Convex([points[quad] for quad in QUADS])
-
-
-def _of_spec(spec: Any) -> list[Convex]:
-    """Box and mesh geoms of the compiled specification, those that collide; meshes as their hulls."""
+    # Box and mesh geoms of the compiled specification, those that collide; meshes as their hulls.
     import mujoco
 
-    model = spec.compile()
+    model = terrain.contact.compile()
     parts = []
     for i in range(model.ngeom):
         if not (model.geom_contype[i] or model.geom_conaffinity[i]):
@@ -73,6 +62,11 @@ def _of_spec(spec: Any) -> list[Convex]:
         elif model.geom_type[i] == mujoco.mjtGeom.mjGEOM_MESH:
             parts.append(_hull(transform(T, mesh_of(model, model.geom_dataid[i])[0])))
     return parts
+
+
+def _of_box(box: Box) -> Convex:
+    points = corners(box)
+    return Convex([points[quad] for quad in QUADS])
 
 
 def _hull(points: F64) -> Convex:

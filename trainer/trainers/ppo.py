@@ -104,7 +104,15 @@ def start(scene: Scene, file: Path | None, plan: Plan, rank: Rank) -> Runner:
     env = environment(scene, plan, graphs=config.graphs)
     if config.resume is not None:
         policy, _ = checkpoint.load(config.resume, latest=True)
-        _refuse_another_strategy(policy, config)
+        applied = policy.tuned[-1][0] if policy.tuned else "full"
+        if config.strategy not in ("", applied):
+            raise TrainerError(
+                "the checkpoint belongs to a run with another strategy",
+                file=config.resume,
+                expected=f"--strategy {config.strategy}",
+                found=applied,
+                hint="leave --strategy out to resume, or start a new run from it with --policy",
+            )
     else:
         policy = learner(file, plan, env)
     policies.check_layout(policy.layout, env.layout, str(config.resume or ""))
@@ -183,18 +191,6 @@ def _attempt(scene: Scene, file: Path | None, plan: Plan, rank: Rank, out: Path)
     evaluate = trials(scene, plan) if scene.goals else None
     config = plan.config
     return runner, loop.train(runner, config.loop, out, evaluate=evaluate, resume=config.resume)
-
-
-def _refuse_another_strategy(policy: Policy, config: TrainConfig) -> None:
-    applied = policy.tuned[-1][0] if policy.tuned else "full"
-    if config.strategy not in ("", applied):
-        raise TrainerError(
-            "the checkpoint belongs to a run with another strategy",
-            file=config.resume,
-            expected=f"--strategy {config.strategy}",
-            found=applied,
-            hint="leave --strategy out to resume, or start a new run from it with --policy",
-        )
 
 
 def _with_fewer_worlds(plan: Plan, error: RuntimeError, rank: Rank) -> Plan:

@@ -41,7 +41,14 @@ except ImportError as error:
 def train(scene: Scene, policy: Path | None, config: TrainConfig, out: Path) -> TrainResult:
     """See `Trainer`. The folder gets rsl_rl's own log (rsl_rl.log, events) beside our files."""
     began = time.perf_counter()
-    _refuse_what_it_cannot(config)
+    cannot = {
+        "several processes (torchrun)": int(os.environ.get("WORLD_SIZE", "1")) > 1,
+        "--resume": config.resume is not None,
+        "--amp": config.ppo.prior.amp,
+    }
+    refused = [name for name, wanted in cannot.items() if wanted]
+    if refused:
+        raise TrainerError(f"the trainer rsl_rl does not do {', '.join(refused)}", hint="use the trainer ppo for that")
     rank = Rank(0, 1, pick_device(config.device, engine=config.engine))
     plan = decide(config, policy, rank)
     settings = plan.config
@@ -234,14 +241,3 @@ class Model(nn.Module):
 def _groups(observation: Observation, worlds: int) -> TensorDict:
     groups = {"actor": observation.actor, "critic": observation.critic, "depth": observation.depth}
     return TensorDict({k: v for k, v in groups.items() if v is not None}, batch_size=[worlds])
-
-
-def _refuse_what_it_cannot(config: TrainConfig) -> None:
-    cannot = {
-        "several processes (torchrun)": int(os.environ.get("WORLD_SIZE", "1")) > 1,
-        "--resume": config.resume is not None,
-        "--amp": config.ppo.prior.amp,
-    }
-    refused = [name for name, wanted in cannot.items() if wanted]
-    if refused:
-        raise TrainerError(f"the trainer rsl_rl does not do {', '.join(refused)}", hint="use the trainer ppo for that")

@@ -132,7 +132,7 @@ def read_poses(path: Path, names: Sequence[str]) -> dict[str, F64]:
     found: dict[str, F64] = {}
     if count == 9 and all(name.isdigit() for name in names):
         found = dict(zip((str(int(node)) for node in rows[:, 8]), T, strict=True))
-    elif count < 12 and len(rows) and all(_is_time(name) for name in names):
+    elif count < 12 and len(rows) and all("." in name and name.replace(".", "", 1).isdigit() for name in names):
         nearest = {name: int(np.abs(rows[:, 0] - float(name)).argmin()) for name in names}
         found = {name: T[k] for name, k in nearest.items() if abs(rows[k, 0] - float(name)) < SAME}
     elif len(rows) == len(names):
@@ -146,10 +146,6 @@ def read_poses(path: Path, names: Sequence[str]) -> dict[str, F64]:
             hint="export poses with node or time (--poses_format 11)",
         )
     return found
-
-
-def _is_time(name: str) -> bool:
-    return "." in name and name.replace(".", "", 1).isdigit()
 
 
 LAYOUT = Layout("rtabmap", "NAME_rgb/, NAME_depth/, NAME_calib/ as rtabmap-export leaves them", recognise, read)

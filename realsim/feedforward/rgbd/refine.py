@@ -19,7 +19,7 @@ import numpy as np
 from realsim.core.errors import PoseError
 from realsim.core.geometry import invert_T, is_rotation
 from realsim.core.types import F64, Frame
-from realsim.feedforward.rgbd.bias import GainEstimate, judge_gain
+from realsim.feedforward.rgbd.bias import judge_gain
 from realsim.feedforward.rgbd.features import Evidence, Match, Tracks, View, build_tracks
 from realsim.feedforward.rgbd.heldout import hold_out
 from realsim.feedforward.rgbd.keyframes import choose_by_poses
@@ -117,7 +117,26 @@ def refine(
         own.views, T[keys], tracks, pairs, estimate_gain=estimate_gain, trust=trust, seed=seed
     )
     gain = judge_gain(step, tracks, surface, len(keys), sensor_sigma if estimate_gain else None)
-    statistics = _statistics(step, given, matches, pairs, tracks, surface, gain, trust)
+    sigmas = step.sigmas
+    moved = np.linalg.norm(step.state.c - given.c, axis=1)
+    turn = np.trace(step.state.R @ np.swapaxes(given.R, 1, 2), axis1=1, axis2=2)
+    angle = np.degrees(np.arccos(np.clip((turn - 1) / 2, -1, 1)))
+    statistics: dict[str, Any] = {
+        "pairs": len(pairs),
+        "matched_pairs": len(matches),
+        "tracks": tracks.count,
+        "observations": len(tracks.z),
+        "surface_samples": len(surface.i),
+        "image_sigma_px": sigmas.image if tracks.count else None,
+        "sigma_z_over_z2": sigmas.depth if tracks.count else sigmas.surface / np.sqrt(2),
+        "surface_sigma_over_z2": sigmas.surface,
+        "moved_rms_m": float(np.sqrt((moved**2).mean())),
+        "turned_rms_deg": float(np.sqrt((angle**2).mean())),
+        "depth_gain": gain.statistics,
+    }
+    if trust == "metric":
+        statistics["given_position_sigma_m"] = sigmas.position
+        statistics["given_angle_sigma_deg"] = float(np.degrees(sigmas.angle))
     poses, residual = T.copy(), np.full(len(T), np.nan)
     poses[keys], residual[keys] = step.state.T, _per_frame(step, tracks, surface, len(keys))
     middle = float(np.nanmedian(residual)) if np.isfinite(residual).any() else float("nan")
@@ -244,36 +263,3 @@ def _warnings(views: Sequence[View], tracks: Tracks, per_frame: F64) -> tuple[st
         many = f"{len(loose)} frame{'s' * (len(loose) != 1)}"
         out.append(f"no neighbours to refine against for {many} (pose kept): {', '.join(loose[:5])}")
     return tuple(out)
-
-
-def _statistics(
-    step: Step,
-    given: State,
-    matches: Sequence[Match],
-    pairs: Sequence[tuple[int, int]],
-    tracks: Tracks,
-    surface: Surface,
-    gain: GainEstimate,
-    trust: str,
-) -> dict[str, Any]:
-    s = step.sigmas
-    moved = np.linalg.norm(step.state.c - given.c, axis=1)
-    turn = np.trace(step.state.R @ np.swapaxes(given.R, 1, 2), axis1=1, axis2=2)
-    angle = np.degrees(np.arccos(np.clip((turn - 1) / 2, -1, 1)))
-    out: dict[str, Any] = {
-        "pairs": len(pairs),
-        "matched_pairs": len(matches),
-        "tracks": tracks.count,
-        "observations": len(tracks.z),
-        "surface_samples": len(surface.i),
-        "image_sigma_px": s.image if tracks.count else None,
-        "sigma_z_over_z2": s.depth if tracks.count else s.surface / np.sqrt(2),
-        "surface_sigma_over_z2": s.surface,
-        "moved_rms_m": float(np.sqrt((moved**2).mean())),
-        "turned_rms_deg": float(np.sqrt((angle**2).mean())),
-        "depth_gain": gain.statistics,
-    }
-    if trust == "metric":
-        out["given_position_sigma_m"] = s.position
-        out["given_angle_sigma_deg"] = float(np.degrees(s.angle))
-    return out

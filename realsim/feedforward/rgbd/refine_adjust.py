@@ -131,7 +131,9 @@ def solve_step(
     width = 6 * n + 1
     J_t, r_t = _track_rows(state, tracks, width)
     J_s, r_s = _surface_rows(state, surface, width, J_t.shape[1])
-    r_p = _prior_residual(state, given)
+    # (6N,) position and rotation, world axes, current minus given.
+    turn = Rotation.from_matrix(state.R @ np.swapaxes(given.R, 1, 2)).as_rotvec()
+    r_p = np.column_stack([state.c - given.c, turn]).ravel()
     sigma_t = np.tile([sigmas.image, sigmas.image, sigmas.depth], M)
     # The two image coordinates and the depth of one observation are outliers separately: a feature may be right where
     # its depth is not.
@@ -228,12 +230,6 @@ def _surface_rows(state: State, s: Surface, width: int, unknowns: int) -> tuple[
     cols = np.column_stack([s.i[:, None] * 6 + np.arange(6), s.j[:, None] * 6 + np.arange(6), np.full(K, width - 1)])
     data = data * scale[:, None]
     return csr_matrix((data.ravel(), cols.ravel(), np.arange(0, 13 * K + 1, 13)), shape=(K, unknowns)), r
-
-
-def _prior_residual(state: State, given: State) -> F64:
-    """(6N,) position and rotation, world axes, current minus given."""
-    turn = Rotation.from_matrix(state.R @ np.swapaxes(given.R, 1, 2)).as_rotvec()
-    return np.column_stack([state.c - given.c, turn]).ravel()
 
 
 def _components(sigmas: Sigmas, r_t: F64, w_t: F64, leverage: F64, r_s: F64, w_s: F64) -> Sigmas:

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from realsim.core.types import MjModel, MjSpec
+from realsim.core.types import MjSpec
 
 INFER, AUTO = 1, 2
 """mjINERTIAFROMGEOM_TRUE: a body's own inertial is ignored. mjINERTIAFROMGEOM_AUTO: it counts where there is one."""
@@ -28,7 +28,10 @@ def resolve(spec: MjSpec) -> None:
             ours.biasprm = model.actuator_biasprm[theirs.id]
     for ours, theirs in zip(spec.joints, copy.joints, strict=True):
         if np.any(ours.springdamper):
-            _write_spring(ours, model, theirs.id)
+            # Stiffness and damping of a joint that were given as a time constant and a damping ratio.
+            stiffness, damping = np.zeros_like(ours.stiffness), np.zeros_like(ours.damping)
+            stiffness[0], damping[0] = model.jnt_stiffness[theirs.id], model.dof_damping[model.jnt_dofadr[theirs.id]]
+            ours.stiffness, ours.damping, ours.springdamper = stiffness, damping, np.zeros(2)
     changes_inertials = any(_changes_inertials(body.compiler) for body in spec.bodies)
     for ours, theirs in zip(spec.bodies, copy.bodies, strict=True):
         if theirs.id == 0:
@@ -59,13 +62,6 @@ def _write_orientation(spec: MjSpec, part: Any, name: str, orientation: Any) -> 
         own = part.compiler
         setattr(part, name, spec.resolve_orientation(own.degree, own.eulerseq, orientation))
         orientation.type = quat
-
-
-def _write_spring(joint: Any, model: MjModel, i: int) -> None:
-    """Stiffness and damping of a joint that were given as a time constant and a damping ratio."""
-    stiffness, damping = np.zeros_like(joint.stiffness), np.zeros_like(joint.damping)
-    stiffness[0], damping[0] = model.jnt_stiffness[i], model.dof_damping[model.jnt_dofadr[i]]
-    joint.stiffness, joint.damping, joint.springdamper = stiffness, damping, np.zeros(2)
 
 
 def _changes_inertials(own: Any) -> bool:

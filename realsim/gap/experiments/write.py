@@ -30,7 +30,12 @@ def write_experiment(
     experiment = predicted.experiment
     for run in experiment.runs:
         write_text(folder / "commands" / f"{run.name}.csv", _csv(case, run))
-        write_bytes(folder / "commands" / f"{run.name}.npz", _npz(case, run))
+        arrays: dict[str, Any] = {"time": run.time, "command": run.command}
+        if run.enabled is not None:
+            arrays["enabled"] = np.asarray(run.enabled, np.uint8)
+        data = io.BytesIO()
+        np.savez_compressed(data, **arrays)
+        write_bytes(folder / "commands" / f"{run.name}.npz", data.getvalue())
     plan = {
         **{k: v for k, v in proposal.items() if k != "rivals"},
         "title": experiment.title,
@@ -92,12 +97,3 @@ def _csv(case: Case, run: Planned) -> str:
     writer.writerow(head)
     writer.writerows([f"{v:.6g}" for v in row] for row in np.concatenate(columns, axis=1))
     return text.getvalue()
-
-
-def _npz(case: Case, run: Planned) -> bytes:
-    arrays: dict[str, Any] = {"time": run.time, "command": run.command}
-    if run.enabled is not None:
-        arrays["enabled"] = np.asarray(run.enabled, np.uint8)
-    data = io.BytesIO()
-    np.savez_compressed(data, **arrays)
-    return data.getvalue()

@@ -19,7 +19,12 @@ def health_card(found: Diagnosis) -> str:
     warnings = list(health.get("warnings", []))
     badge = page.badge("look", f"{len(warnings)} to look at") if warnings else page.badge("good", "nothing wrong")
     parts = [f"<p>{badge}</p>", page.bullets(warnings) if warnings else ""]
-    parts.append(page.table(["figure", "value"], [*_clock(health), *_start(health), *_saturation(health)]))
+    rows = []
+    for key, joints in health.get("saturation", {}).items():
+        worst = sorted(joints, key=lambda j: -joints[j])[:4]
+        if worst:
+            rows.append([_SATURATED[key], ", ".join(f"{short(j)} {percent(joints[j])}" for j in worst)])
+    parts.append(page.table(["figure", "value"], [*_clock(health), *_start(health), *rows]))
     signals = _signals(found)
     if signals:
         parts.append(page.table(["signal", "missing", "step", "noise", "repeats", "no gap below"], signals))
@@ -48,15 +53,6 @@ def _start(health: dict[str, Any]) -> list[list[str]]:
         ["start, farthest from the simulator's rest", f"{svg.number(start['farthest_from_rest'], 2)} rad"],
         ["start, fastest joint", f"{svg.number(start['fastest_at_start'], 2)} rad/s"],
     ]
-
-
-def _saturation(health: dict[str, Any]) -> list[list[str]]:
-    rows = []
-    for key, joints in health.get("saturation", {}).items():
-        worst = sorted(joints, key=lambda j: -joints[j])[:4]
-        if worst:
-            rows.append([_SATURATED[key], ", ".join(f"{short(j)} {percent(joints[j])}" for j in worst)])
-    return rows
 
 
 def _signals(found: Diagnosis) -> list[list[str]]:

@@ -173,7 +173,8 @@ class Randomiser:
     def _ranges(self, known: Known) -> dict[str, list[Range]]:
         """Quantity -> the ranges of its entries, in the order in which `reset` takes them apart."""
         c, joints = self.config, range(len(self.physics.robot.joints))
-        ratio = _mass(self.physics) / _G1_KG
+        model = self.physics.robot.robot.spec.copy().compile()
+        ratio = float(model.body_subtreemass[0]) / _G1_KG
 
         def each(everywhere: Range, own: dict[int, Range]) -> list[Range]:
             return [own.get(j, everywhere) for j in joints]
@@ -214,11 +215,6 @@ class Randomiser:
         velocity = state.base_lin_vel[ids].clone()
         velocity[:, :2] += kick
         self.physics.set_velocity(ids, velocity, state.base_ang_vel[ids].clone())
-
-
-def _mass(physics: Physics) -> float:
-    model = physics.robot.robot.spec.copy().compile()
-    return float(model.body_subtreemass[0])
 
 
 def limited(known: Known, settings: PhysicsConfig) -> Known:

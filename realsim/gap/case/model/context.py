@@ -263,18 +263,13 @@ def kind_of(joint: str) -> str:
     return SIDES.sub(r"\1", joint).strip("_-. ").lower()
 
 
-def leg_of(joint: str) -> str | None:
-    """The side or leg in a joint's name, or None."""
-    found = SIDES.search(joint)
-    return found.group(2).lower() if found else None
-
-
 def like_joints(joints: Sequence[str]) -> list[tuple[str, ...]]:
     """Groups of two or more joints that may share a cause: of one kind, of one leg, all."""
     by_kind, by_leg = defaultdict(list), defaultdict(list)
     for joint in joints:
         by_kind[kind_of(joint)].append(joint)
-        leg = leg_of(joint)
+        found = SIDES.search(joint)
+        leg = found.group(2).lower() if found else None
         if leg:
             by_leg[leg].append(joint)
     groups = [tuple(g) for g in [*by_kind.values(), *by_leg.values(), list(joints)] if len(g) > 1]

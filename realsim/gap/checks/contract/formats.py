@@ -198,11 +198,7 @@ def load_policy(path: Path | str, deploy: Path | str | None = None, joints: Sequ
             hint=error.hint if absent else EXPORTED,
         ) from error  # fmt: skip
     made = read_contract(path, session.get_modelmeta().custom_metadata_map, deploy, joints)
-    return replace(made, run=_runner(session, made, path))
-
-
-def _runner(session: Any, made: Contract, path: Path) -> Run:
-    """`Contract.run`; run once on zeros, so that a damaged network is refused here."""
+    # `Contract.run`; run once on zeros, so that a damaged network is refused here.
     inputs = session.get_inputs()
     vector, images = inputs[0], inputs[1:]
     size = vector.shape[-1]
@@ -233,7 +229,7 @@ def _runner(session: Any, made: Contract, path: Path) -> Run:
             "the contract does not fit the network", file=path, expected=f"{len(made.joints)} actions",
             found=f"an output of {shape}",
         )  # fmt: skip
-    return call
+    return replace(made, run=call)
 
 
 def _batch(session: Any) -> Run:
