@@ -8,6 +8,7 @@ its place: `trainer.ppo.amp.StylePrior` takes any features.
 from dataclasses import dataclass
 from typing import Any
 
+import mujoco
 import numpy as np
 import torch
 from torch import Tensor
@@ -82,8 +83,6 @@ class _Legs:
     """Inverse kinematics of the legs under a base that is fixed at the origin."""
 
     def __init__(self, robot: TrainedRobot) -> None:
-        import mujoco
-
         self.mj: Any = mujoco
         self.model = robot.robot.spec.copy().compile()
         self.data = mujoco.MjData(self.model)
