@@ -4,7 +4,6 @@ from statistics import median
 
 from benchmarks.diagnosis import real as gap_real
 from benchmarks.diagnosis import sweep as gap_sweep
-from benchmarks.diagnosis import unstable as gap_unstable
 from benchmarks.tables.fresh import rows_of
 from benchmarks.tables.stored import Row, share, stored
 
@@ -107,11 +106,6 @@ def experiments() -> list[str]:
     for key, title in (("asked", "the one that `realsim excite` asks for"), ("random", "another of the library")):
         lines.append(f"| {title} | {share((sum(bool(r.get(key, {}).get('right')) for r in rows), len(rows)))} |")
     return lines
-
-
-def unstable() -> list[str]:
-    """Robots that only their controller holds up: replayed as a whole, and in parts."""
-    return gap_unstable.table(stored("gap_unstable")["rows"])
 
 
 SWEPT = {

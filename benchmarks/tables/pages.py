@@ -13,8 +13,12 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+from benchmarks.diagnosis import unstable
+from benchmarks.scenes import loops
 from benchmarks.tables import diagnosis, fresh, index, plots, policies, readme, scenes
 from benchmarks.tables.api import functions
+from benchmarks.tables.stored import stored
+from benchmarks.training import base_policy, ladder, pushes, trials
 
 ROOT = Path(__file__).resolve().parents[2]
 PLOTS, IMAGES = ROOT / "benchmarks" / "plots", ROOT / "docs" / "images"
@@ -25,10 +29,10 @@ TABLES: dict[str, Callable[[], list[str]]] = {
     "index": index.index,
     "captures": scenes.captures,
     "scale": scenes.scale,
-    "contact": scenes.contact,
+    "contact": lambda: list(stored("contact")["summary"]),
     "real captures": scenes.real_captures,
     "clouds": scenes.clouds,
-    "loops": scenes.loops,
+    "loops": lambda: loops.table(stored("loops")["rows"]),
     "movers": scenes.movers,
     "hard matches": scenes.hard_matches,
     "damaged": scenes.damaged,
@@ -36,7 +40,7 @@ TABLES: dict[str, Callable[[], list[str]]] = {
     "fresh seed by robot": fresh.by_robot,
     "real logs": diagnosis.real_logs,
     "unseen robots": diagnosis.unseen,
-    "unstable robots": diagnosis.unstable,
+    "unstable robots": lambda: unstable.table(stored("gap_unstable")["rows"]),
     "sweep": diagnosis.sweep,
     "times": diagnosis.times,
     "experiments": diagnosis.experiments,
@@ -44,17 +48,17 @@ TABLES: dict[str, Callable[[], list[str]]] = {
     "footholds": diagnosis.footholds,
     "closing the loop": diagnosis.closing,
     "beside the paper": policies.beside_the_paper,
-    "base policy": policies.base,
-    "base policy of go2": policies.go2_base,
-    "base policy of the quadruped": policies.quadruped_base,
-    "pushes": policies.pushed,
+    "base policy": lambda: base_policy.table(stored("base_policy")["rows"]),
+    "base policy of go2": lambda: base_policy.table(stored("base_policy")["rows"], "go2"),
+    "base policy of the quadruped": lambda: base_policy.table(stored("base_policy")["rows"], "quadruped"),
+    "pushes": lambda: pushes.table(stored("pushes")["rows"]),
     "tests": policies.tests,
     "all tests at once": policies.all_at_once,
     "in a minute": policies.in_a_minute,
     "tuned captures": policies.tuned_captures,
-    "worlds": policies.by_worlds,
-    "help": policies.helped,
-    "trials": policies.trials_by_rule,
+    "worlds": lambda: policies.means("worlds", stored("ttt_worlds")["rows"]),
+    "help": lambda: ladder.table(stored("ladder")["rows"]),
+    "trials": lambda: trials.table(stored("trials")["rows"], "g1"),
     "clean meshes": scenes.clean_meshes,
     "recordings": scenes.recordings,
     "strategies": policies.strategies,

@@ -4,7 +4,7 @@ from pathlib import Path
 from statistics import mean
 
 from benchmarks.tables.stored import stored
-from benchmarks.training import base_policy, ladder, pushes, trials, ttt
+from benchmarks.training import base_policy, ttt
 
 TRAINING = Path(__file__).resolve().parents[2] / "training"
 TUNED_FROM = "883606ff"
@@ -28,26 +28,6 @@ def beside_the_paper() -> list[str]:
         ("real robot", "yes", "none"),
     ]
     return ["| | TTT-Parkour | here |", "|---|---|---|", *(f"| {' | '.join(row)} |" for row in rows)]
-
-
-def base() -> list[str]:
-    """The base policy on every family, difficulty and test."""
-    return base_policy.table(stored("base_policy")["rows"])
-
-
-def go2_base() -> list[str]:
-    """The same of Go2's."""
-    return base_policy.table(stored("base_policy")["rows"], "go2")
-
-
-def quadruped_base() -> list[str]:
-    """The same of the quadruped's."""
-    return base_policy.table(stored("base_policy")["rows"], "quadruped")
-
-
-def pushed() -> list[str]:
-    """The base on the thirteen tests, pushed more and more."""
-    return pushes.table(stored("pushes")["rows"])
 
 
 def tests() -> list[str]:
@@ -76,7 +56,7 @@ def all_at_once() -> list[str]:
     lines: list[str] = []
     for source, pushed_by in sorted(names):
         mine = [r for r in rows if (r["source"], r["pushes"]) == (source, pushed_by)]
-        lines += [*(_means("seed", mine)[:2] if not lines else []), *_means("seed", mine)[2:]]
+        lines += [*(means("seed", mine)[:2] if not lines else []), *means("seed", mine)[2:]]
     return lines
 
 
@@ -107,12 +87,7 @@ def tuned_captures() -> list[str]:
     return lines
 
 
-def by_worlds() -> list[str]:
-    """One policy for all tests after eight minutes, by how many worlds practise at once; every run."""
-    return _means("worlds", stored("ttt_worlds")["rows"])
-
-
-def _means(what: str, rows: list[ttt.Row]) -> list[str]:
+def means(what: str, rows: list[ttt.Row]) -> list[str]:
     """A line a run: means over the tests, and the two narrowest footholds by themselves."""
     head = ("terrain", "pushes in training", what, "iterations", "mean, %", "pushed, %", "`stake2`, %", "`narrow3`, %")
     lines = [f"| {' | '.join(head)} |", "|---" * len(head) + "|"]
@@ -127,16 +102,6 @@ def _means(what: str, rows: list[ttt.Row]) -> list[str]:
 
 def _percent(rows: list[ttt.Row], key: str) -> float:
     return 100 * sum(r[key] for r in rows) / sum(r["trials"] for r in rows)
-
-
-def helped() -> list[str]:
-    """Fine-tuning on courses that the base hardly crosses: with wider tops, and on a raised floor."""
-    return ladder.table(stored("ladder")["rows"])
-
-
-def trials_by_rule() -> list[str]:
-    """The base on the thirteen tests, by how a trial ends and by the contact model."""
-    return trials.table(stored("trials")["rows"], "g1")
 
 
 def strategies() -> list[str]:

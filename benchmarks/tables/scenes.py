@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.scenes import loops as places
 from benchmarks.scenes import reconstruct
 from benchmarks.tables.stored import Row, stored
 
@@ -52,11 +51,6 @@ def scale() -> list[str]:
     for name in data["paper"]["Stake1"]:
         lines.append(f"| *paper: {name}* | | | | | {' | '.join(str(v[name]) for v in data['paper'].values())} | |")
     return lines
-
-
-def loops() -> list[str]:
-    """What became of places that look alike, by kind of place."""
-    return places.table(stored("loops")["rows"])
 
 
 VERDICTS = {"good": "good", "look": "check first", "bad": "do not use", "refused": "refused"}
@@ -143,11 +137,6 @@ def hard_matches() -> list[str]:
             f"| {row['capture']} | {change} | {placed} of {row['frames']} | {' | '.join(figures)} | {joined} |"
         )
     return lines
-
-
-def contact() -> list[str]:
-    """Measured contact by representation."""
-    return list(stored("contact")["summary"])
 
 
 def clean_meshes() -> list[str]:
