@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from realsim.core.errors import GapError
 from realsim.core.types import F64
 from realsim.gap.recordings.names import seconds_of
-from realsim.gap.recordings.recording import Recording, Stream, planned
+from realsim.gap.recordings.recording import Recording, Stream, Window, part_of, planned
 
 JUMP = 0.1
 """s by which a clock steps aside. Messages of one topic do not overtake each other by as much."""
@@ -70,6 +70,22 @@ def unbroken(recording: Recording) -> list[Recording]:
         replace(recording, name=f"{recording.name}_{i + 1}", streams=tuple(part), notes=(*recording.notes, note))
         for i, part in enumerate(parts)
     ]
+
+
+def cut(recording: Recording, window: Window) -> Recording:
+    """The samples that lie in a window, of each stream after its first one."""
+    if window.whole:
+        return recording
+    streams = []
+    for stream in recording.streams:
+        clock = _base(stream)[1]
+        if not len(clock):
+            columns = ", ".join(list(stream.fields)[:12])
+            raise GapError("a time window is requested, but the table has no time", file=recording.path, found=columns)
+        since = clock - np.nanmin(clock)
+        inside = (since >= window.start) & (since < window.start + window.seconds)
+        streams.append(part_of(stream, inside))
+    return replace(recording, streams=tuple(streams))
 
 
 def shifts(own: F64, receive: F64) -> list[tuple[int, float]]:
@@ -162,8 +178,6 @@ def _by_time(clock: F64, spans: Sequence[tuple[float, float]], by_order: F64) ->
 def _rows(stream: Stream, rows: NDArray[np.int64], back: float) -> Stream:
     """These samples, with the clock of reception set back, s."""
     joined = len(rows) > 0 and rows[-1] - rows[0] + 1 == len(rows)
-    taken = slice(rows[0], rows[-1] + 1) if joined else rows  # a view: recordings may be as large as memory allows
-    clocks = {n: c[taken] - (back if n == "receive" else 0.0) for n, c in stream.clocks.items()}
-    fields = {n: replace(f, values=f.values[taken]) for n, f in stream.fields.items()}
-    order = stream.order[taken] if len(stream.order) else stream.order
-    return replace(stream, clocks=clocks, fields=fields, order=order)
+    # A view: recordings may be as large as memory allows.
+    taken = part_of(stream, slice(rows[0], rows[-1] + 1) if joined else rows)
+    return replace(taken, clocks={n: c - (back if n == "receive" else 0.0) for n, c in taken.clocks.items()})

@@ -5,8 +5,9 @@ a list of names in the same message labels the columns. Other text, pictures and
 """
 
 from array import array
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,9 @@ import numpy as np
 
 from realsim.core.text_table import MAX_WIDTH
 from realsim.core.types import F64
+from realsim.gap.recordings.flatten import flatten, seconds
 from realsim.gap.recordings.recording import Field, Stream, refuse_more
+from realsim.gap.recordings.tables import grouped
 from realsim.gap.recordings.vocabulary import is_clock
 
 NOT_SIGNALS = (
@@ -61,11 +64,12 @@ class Collector:
 
     def add(self, message: Any, receive: float, later: float = 0.0, order: int = 0) -> int:
         """Take one message, received at `receive` s, that holds from `later` s on. Returns how many numbers it held."""
-        leaves: dict[str, Any] = {}
-        texts: dict[str, tuple[str, ...]] = {}
-        stamp = _walk(message, "", leaves, texts)
+        values = flatten(message)
+        texts = {n: tuple(v) for n, v in values.items() if isinstance(v, (list, tuple)) and v and _words(v)}
+        stamp = _number(values.pop("header.stamp", None))
+        leaves = {n: v for n, raw in values.items() if _holds_signals(n) and (v := _number(raw)) is not None}
         clocks = {k: float(leaves.pop(k)) for k in list(leaves) if is_clock(k) and isinstance(leaves[k], float)}
-        if stamp:
+        if isinstance(stamp, float) and stamp:
             clocks["header"] = stamp + later
         labels = {name: found for name in leaves if (found := _labels(name, leaves[name], texts))}
         widths = {name: 1 if isinstance(v, float) else len(v) for name, v in leaves.items()}
@@ -108,7 +112,7 @@ class Collector:
             if len(kept) > 1:
                 first = next(iter(columns.labels.values()), ())
                 name += f"[{', '.join(first[:2])}{', ...' if len(first) > 2 else ''}]" if first else f"[{len(found)}]"
-            found.append(Stream(name, self.kind, clocks, _axes(fields), _array(columns.order)))
+            found.append(Stream(name, self.kind, clocks, _together(fields), _array(columns.order)))
         return found
 
 
@@ -151,7 +155,7 @@ def unfold(kind: str, message: Any) -> list[tuple[float, Any]]:
     if last == "JointTrajectory":
         head = {"header": message.header, "joint_names": message.joint_names}
         return [
-            (_stamp({"stamp": p.time_from_start}), head | {"positions": p.positions, "velocities": p.velocities})
+            (seconds(p.time_from_start) or 0.0, head | {"positions": p.positions, "velocities": p.velocities})
             for p in message.points[:MAX_WIDTH]
         ]
     if last == "DynamicJointState":
@@ -164,81 +168,23 @@ def unfold(kind: str, message: Any) -> list[tuple[float, Any]]:
     return [(0.0, message)]
 
 
-def _walk(part: Any, path: str, leaves: dict[str, Any], texts: dict[str, tuple[str, ...]]) -> float:
-    """Collect numbers and lists of names below `part`; returns the time stamp of the message in s, or 0."""
-    stamp = 0.0
-    for name, value in _members(part):
-        if name in IGNORED or name.endswith("covariance"):
-            continue
-        here = f"{path}.{name}" if path else name
-        if isinstance(value, (bool, int, float, np.number)):
-            leaves[here] = float(value)
-        elif isinstance(value, np.ndarray):
-            if value.size <= MAX_WIDTH and value.dtype.kind in "fiub":
-                leaves[here] = value.ravel()
-        elif isinstance(value, str) or value is None:
-            continue
-        elif isinstance(value, (list, tuple)):
-            _walk_list(value, here, leaves, texts)
-        elif name in ("header", "stamp") or (is_clock(name) and _stamp(value)):
-            stamp = stamp or _stamp(value)
-        else:
-            _walk(value, here, leaves, texts)
-    return stamp
+@lru_cache(maxsize=10_000)
+def _holds_signals(name: str) -> bool:
+    """Whether a dotted name is none of a header's, of bookkeeping or of a covariance."""
+    parts = name.split(".")
+    return parts[0] != "header" and not any(p in IGNORED or p.endswith("covariance") for p in parts)
 
 
-def _walk_list(items: Any, path: str, leaves: dict[str, Any], texts: dict[str, tuple[str, ...]]) -> None:
-    if not items or len(items) > MAX_WIDTH:
-        return
-    if all(isinstance(i, str) for i in items):
-        texts[path] = tuple(items)
-    elif all(isinstance(i, (bool, int, float, np.number)) for i in items):
-        leaves[path] = np.asarray(items, dtype=np.float64)
-    elif all(i is None or isinstance(i, (bool, int, float)) for i in items):
-        leaves[path] = np.array([np.nan if i is None else i for i in items], dtype=np.float64)
-    else:
-        _walk_parts(items, path, leaves, texts)
-
-
-def _walk_parts(items: Any, path: str, leaves: dict[str, Any], texts: dict[str, tuple[str, ...]]) -> None:
-    """A list of equal parts (motors, points): every number of a part becomes a field with a column a part."""
-    parts: list[dict[str, Any]] = []
-    for item in items:
-        found: dict[str, Any] = {}
-        if hasattr(item, "__dict__") or hasattr(item, "__slots__") or isinstance(item, Mapping):
-            _walk(item, "", found, {})
-        parts.append(found)
-    for name in parts[0]:
-        if all(name in p and isinstance(p[name], float) for p in parts):
-            leaves[f"{path}.{name}"] = np.array([p[name] for p in parts])
-        elif len(parts) == 1 and name in parts[0]:  # a trajectory of one point is a vector
-            leaves[f"{path}.{name}"] = parts[0][name]
-    named = [dict(_members(i)).get("name") for i in items]
-    if all(isinstance(n, str) for n in named):
-        texts[f"{path}.name"] = tuple(str(n) for n in named)
-
-
-def _members(part: Any) -> Iterator[tuple[str, Any]]:
-    if isinstance(part, Mapping):
-        yield from ((str(k), v) for k, v in part.items())
-        return
-    names = getattr(part, "__dataclass_fields__", None) or getattr(part, "__slots__", ()) or vars(part)
-    for name in names:
-        if not name.startswith("_"):
-            yield name, getattr(part, name)
-
-
-def _stamp(part: Any) -> float:
-    """s of a ROS header or stamp (sec, nanosec; secs, nsecs in JSON)."""
-    found = dict(_members(part))
-    inner = found.get("stamp", found)
-    if isinstance(inner, (int, float)):
-        return float(inner)
-    times = dict(_members(inner)) if inner is not None else {}
-    sec = times.get("sec", times.get("secs"))
-    if not isinstance(sec, (int, np.integer)):
-        return 0.0
-    return float(sec) + 1e-9 * float(times.get("nanosec", times.get("nsecs", times.get("nsec", 0))))
+def _number(value: Any) -> float | F64 | None:
+    """A number or (K,) of a member of a message; None where it holds something else, or a whole cloud."""
+    if isinstance(value, (bool, int, float, np.number)):
+        return float(value)
+    if isinstance(value, np.ndarray):
+        return value.ravel() if value.dtype.kind in "fiub" and value.size <= MAX_WIDTH else None
+    if not isinstance(value, (list, tuple)) or not 0 < len(value) <= MAX_WIDTH:
+        return None
+    plain = all(v is None or isinstance(v, (bool, int, float, np.number)) for v in value)
+    return np.array(value, dtype=np.float64) if plain else None  # null is missing
 
 
 def _labels(name: str, value: Any, texts: Mapping[str, tuple[str, ...]]) -> tuple[str, ...]:
@@ -255,19 +201,14 @@ def _labels(name: str, value: Any, texts: Mapping[str, tuple[str, ...]]) -> tupl
     return ()
 
 
-def _axes(fields: Mapping[str, Field]) -> dict[str, Field]:
-    """Scalars x, y, z (, w) of one part as one field; a lone `rpy` or covariance stays what it is."""
-    result: dict[str, Field] = {}
-    for name, entry in fields.items():
-        place, _, last = name.rpartition(".")
-        if last not in ("x", "y", "z", "w") or f"{place}.z" not in fields or entry.width != 1:
-            result[name] = entry
-            continue
-        axes = [a for a in ("x", "y", "z", "w") if f"{place}.{a}" in fields]
-        if place not in result:
-            columns = [fields[f"{place}.{a}"].values for a in axes]
-            result[place] = Field(np.concatenate(columns, axis=1), tuple(axes))
-    return result
+def _together(fields: Mapping[str, Field]) -> dict[str, Field]:
+    """Numbers that belong together as one field: x, y, z of one part, the joints' positions."""
+    lone = {n: f.values[:, 0] for n, f in fields.items() if f.width == 1 and not f.labels}
+    return {n: f for n, f in fields.items() if n not in lone} | grouped(lone)
+
+
+def _words(items: Sequence[Any]) -> bool:
+    return all(isinstance(i, str) for i in items)
 
 
 def _array(series: array) -> F64:

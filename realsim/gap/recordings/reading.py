@@ -11,7 +11,7 @@ from realsim.core.errors import GapError, MissingExtraError, RealsimError
 from realsim.core.files import check_size, read_json
 from realsim.core.progress import track
 from realsim.core.text_table import first_lines
-from realsim.gap.recordings.jumps import unbroken
+from realsim.gap.recordings.jumps import cut, unbroken
 from realsim.gap.recordings.names import is_sent, seconds_of
 from realsim.gap.recordings.readers import READERS
 from realsim.gap.recordings.recording import NO_SAMPLES, Field, Reader, Recording, Stream, Window, facts_of, no_samples
@@ -85,8 +85,8 @@ def _read(reader: Reader, path: Path, window: Window) -> list[Recording]:
                 check_size(inner, MAX_BYTES)
     beside = path.with_suffix(".json")  # what a logger says of its table: a rate, gains
     shared = _facts(beside) if beside != path and path.is_file() and beside.is_file() else {}
-    read_ = [replace(r, facts={**shared, **r.facts}) for r in reader.read(path, window)]
-    whole = [replace(r, streams=filled) for r in read_ if (filled := _filled(r))]
+    read_ = reader.read(path, window) if reader.cuts else [cut(r, window) for r in reader.read(path)]
+    whole = [replace(r, streams=filled, facts={**shared, **r.facts}) for r in read_ if (filled := _filled(r))]
     found = [_finite(replace(part, streams=_filled(part))) for r in whole for part in unbroken(r)]
     if not found:
         raise no_samples(path, "samples in the window of time", window=window)

@@ -3,7 +3,7 @@
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from realsim.core.errors import GapError, RealsimError
-from realsim.core.types import F64, Bool
+from realsim.core.types import F64
 
 MAX_VALUES = 60_000_000
 """Numbers that a recording may hold in memory. Beyond, a window of time has to be requested. At the peak each takes 28
@@ -112,7 +112,10 @@ class Reader:
     """Its distinctive features, for the message if nothing is recognised."""
     recognise: Callable[[Path], bool]
     """A cheap look at names and first bytes; must not raise for any other file."""
-    read: Callable[[Path, Window], list[Recording]]
+    read: Callable[..., list[Recording]]
+    """Of a path, the whole; or of a path and a window, the part in it."""
+    cuts: bool = False
+    """Whether `read` takes a window, so that what lies outside it does not fill the memory."""
 
 
 def facts_of(value: Mapping[str, Any], place: str = "") -> dict[str, Any]:
@@ -155,12 +158,11 @@ def no_samples(
     return GapError(NO_SAMPLES, file=path, expected=what, found=there or "nothing", hint=hint)
 
 
-def in_window(times: F64, window: Window) -> Bool:
-    """(T,) which samples of an increasing clock in s lie in the window."""
-    if window.whole or not len(times):
-        return np.ones(len(times), bool)
-    since = times - np.nanmin(times)
-    return (since >= window.start) & (since < window.start + window.seconds)
+def part_of(stream: Stream, rows: Any) -> Stream:
+    """These samples of a stream."""
+    fields = {n: replace(f, values=f.values[rows]) for n, f in stream.fields.items()}
+    order = stream.order[rows] if len(stream.order) else stream.order
+    return replace(stream, clocks={n: c[rows] for n, c in stream.clocks.items()}, fields=fields, order=order)
 
 
 @contextmanager

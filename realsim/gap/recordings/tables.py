@@ -12,8 +12,9 @@ import numpy as np
 from realsim.core.errors import GapError
 from realsim.core.text_table import MAX_WIDTH, cells, odd_cell
 from realsim.core.types import F64
-from realsim.gap.recordings.names import is_sent, seconds_of
-from realsim.gap.recordings.recording import WHOLE, Field, Stream, Window, in_window
+from realsim.gap.recordings.flatten import flatten
+from realsim.gap.recordings.names import is_sent
+from realsim.gap.recordings.recording import Field, Stream
 from realsim.gap.recordings.signals import at, held
 from realsim.gap.recordings.vocabulary import KINDS, SIDES, SIGNALS, english, is_clock, plain, split_unit, time_unit
 
@@ -29,7 +30,7 @@ LEAST_CLOCK = 20
 """Samples from which a column that rises evenly is taken for a clock."""
 
 
-def table(path: Path, name: str, columns: Mapping[str, F64], *, window: Window = WHOLE) -> Stream:
+def table(path: Path, name: str, columns: Mapping[str, F64]) -> Stream:
     """A stream from columns (T,) or (T, K) of one table; clocks are those named so, else the one that rises evenly."""
     columns = _joined_stamps(columns)
     (lone, matrix), *others = columns.items() or [("", np.zeros(0))]
@@ -48,17 +49,10 @@ def table(path: Path, name: str, columns: Mapping[str, F64], *, window: Window =
     fields = vectors | grouped({n: v for n, v in rest.items() if v.ndim == 1})
     if not fields:
         raise GapError("the table has no columns of numbers", file=path, found=", ".join(list(columns)[:12]) or "none")
-    if window.whole:
-        return Stream(name, "table", clocks, fields)
-    if not clocks:
-        raise GapError("a time window is requested, but the table has no time", found=", ".join(list(columns)[:12]))
-    first = next(iter(clocks))
-    keep = in_window(seconds_of(first, clocks[first])[0], window)
-    kept = {n: replace(f, values=f.values[keep]) for n, f in fields.items()}
-    return Stream(name, "table", {n: v[keep] for n, v in clocks.items()}, kept)
+    return Stream(name, "table", clocks, fields)
 
 
-def by_topic(path: Path, columns: Mapping[str, F64], window: Window = WHOLE) -> tuple[Stream, ...]:
+def by_topic(path: Path, columns: Mapping[str, F64]) -> tuple[Stream, ...]:
     """The streams of a table: one; or, where each row fills the cells of one topic alone, one a topic (PlotJuggler)."""
     whole = {n: v for n, v in columns.items() if np.isfinite(v).all()}
     clock = next((n for n in whole if is_clock(n)), "")
@@ -68,13 +62,13 @@ def by_topic(path: Path, columns: Mapping[str, F64], window: Window = WHOLE) -> 
             groups.setdefault(np.isfinite(values).tobytes(), []).append(name)
     rows = [np.frombuffer(mask, dtype=bool) for mask in groups]
     if not clock or len(groups) < 2 or (np.sum(rows, axis=0) > 1).mean() > 1 - EVEN:
-        return (table(path, "", columns, window=window),)
+        return (table(path, "", columns),)
     streams, usual = [], max(mask.sum() for mask in rows)
     for mask, names in zip(rows, groups.values(), strict=True):
         if mask.sum() > (1 - EVEN) * usual:  # beside words of a state that changes now and then
             topic = names[0][: max(names[0].find("/", 1), 0)]
             cells_of = {n: columns[n][mask] for n in (clock, *names)}
-            streams.append(table(path, topic or names[0], cells_of, window=window))
+            streams.append(table(path, topic or names[0], cells_of))
     return tuple(streams)
 
 
@@ -93,11 +87,10 @@ def labelled(
     clock: Mapping[str, F64],
     parts: Mapping[str, F64],
     labels: Sequence[str],
-    window: Window,
     kind: str = "table",
 ) -> Stream:
     """A stream of fields (T, K) whose columns are those joints', at one clock (T,)."""
-    stream = table(path, "", {**clock, **parts}, window=window)
+    stream = table(path, "", {**clock, **parts})
     named = {
         n: replace(f, labels=tuple(labels), columns=tuple(f"{n}_{label}" for label in labels))
         if n in parts and f.width == len(labels)
@@ -122,7 +115,6 @@ def streams(
     columns: Mapping[str, F64],
     spelled: Mapping[str, Sequence[Any]],
     notes: list[str],
-    window: Window,
     name: str = "",
 ) -> tuple[Stream, ...]:
     """The streams of a table of (R,) or (R, K) numbers, beside columns of text or of lists of words."""
@@ -132,11 +124,9 @@ def streams(
         if all(isinstance(c, str) for c in cells_of) and len(set(found := list(map(str.strip, cells_of)))) <= MAX_WIDTH
     }
     if fields := a_column_a_joint(columns, words, notes):
-        return (replace(labelled(path, *fields, window), name=name),)
+        return (replace(labelled(path, *fields), name=name),)
     lists = [c[0] for c in spelled.values() if isinstance(c[0], list) and c[0] == c[-1]]
-    found_ = [
-        named(s, [x for x in lists if all(isinstance(w, str) for w in x)]) for s in by_topic(path, columns, window)
-    ]
+    found_ = [named(s, [x for x in lists if all(isinstance(w, str) for w in x)]) for s in by_topic(path, columns)]
     return tuple(replace(s, name=f"{name} {s.name}".strip()) for s in found_)
 
 
@@ -377,7 +367,7 @@ def rows(
 ) -> dict[str, F64]:
     """Records (JSON objects) as columns; nested objects get dotted names. What is no number is noted, or put into
     `spelled`."""
-    flat = [_flat(item) for item in items]
+    flat = [flatten(item) for item in items]
     names = list(dict.fromkeys(n for row in flat[:200] for n in row))
     found = {}
     for name in names:
@@ -390,23 +380,3 @@ def rows(
         elif spelled is not None:
             spelled[name] = values
     return found
-
-
-def _flat(item: Mapping[str, Any], place: str = "") -> dict[str, Any]:
-    result: dict[str, Any] = {}
-    for key, value in item.items():
-        name = f"{place}.{key}".strip(".")
-        if isinstance(value, Mapping):
-            result |= _flat(value, name)
-        elif isinstance(value, list) and value and all(isinstance(v, Mapping) for v in value):
-            parts = [_flat(v) for v in value]
-            names = [next((str(p[k]) for k in ("name", "joint", "joint_name") if p.get(k)), "") for p in parts]
-            if all(names) and len(set(names)) == len(names):  # in any order
-                named_ = zip(names, parts, strict=True)
-                result |= {f"{name}.{n}.{inner}".strip("."): v for n, p in named_ for inner, v in p.items()}
-                continue
-            # equal parts, such as motors: every number is a list with one of each
-            result |= {f"{name}.{inner}".strip("."): [p.get(inner) for p in parts] for inner in parts[0]}
-        else:
-            result[name] = value
-    return result

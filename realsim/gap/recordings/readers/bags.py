@@ -85,5 +85,6 @@ MCAP = Reader(
     "a .mcap file with ROS 1, ROS 2, Protobuf or JSON messages, or the folder of a bag of them",
     lambda path: bool(mcap_files(path)),
     read,
+    cuts=True,
 )
-ROSBAG = Reader("rosbag", "a .bag file, a .db3 file, or a ROS 2 bag's folder (metadata.yaml)", recognise, read)
+ROSBAG = Reader("rosbag", "a .bag file, a .db3 file, or a ROS 2 bag's folder (metadata.yaml)", recognise, read, True)

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from realsim.core.files import check_size
 from realsim.core.types import F64
-from realsim.gap.recordings.recording import Field, Reader, Recording, Stream, Window, in_window, no_samples, readable
+from realsim.gap.recordings.recording import Field, Reader, Recording, Stream, no_samples, readable
 from realsim.gap.recordings.tables import grouped
 
 MAX_BYTES = 2**30
@@ -40,7 +40,7 @@ def recognise(path: Path) -> bool:
     return len(head) == 5 and head[0] == MAGIC and struct.unpack("<HH", head[1:])[0] in VERSIONS
 
 
-def read(path: Path, window: Window) -> list[Recording]:
+def read(path: Path) -> list[Recording]:
     check_size(path, MAX_BYTES)
     data = path.read_bytes()
     notes: list[str] = []
@@ -53,14 +53,12 @@ def read(path: Path, window: Window) -> list[Recording]:
         if not samples[key]:
             continue
         table = np.array(samples[key], dtype=np.float64)
-        time = table[:, 0] * tick
-        keep = in_window(time, window)
-        columns = {n: table[keep, k + 1] for k, n in enumerate(variables)}
-        if keep.any() and columns:
+        columns = {n: table[:, k + 1] for k, n in enumerate(variables)}
+        if columns:
             fields = grouped(columns) | _derived(columns)
-            streams.append(Stream(name, "crazyflie", {"header": time[keep]}, fields))
+            streams.append(Stream(name, "crazyflie", {"header": table[:, 0] * tick}, fields))
     if not streams:
-        raise no_samples(path, "samples of the events in its header", window=window, notes=notes)
+        raise no_samples(path, "samples of the events in its header", notes=notes)
     return [Recording(path, path.name.replace(".", "_"), "crazyflie", tuple(streams), notes=tuple(notes))]
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from realsim.core.errors import GapError
 from realsim.core.text_table import FEW, TextTable, begin, first_lines, read_text_table
 from realsim.core.types import F64
-from realsim.gap.recordings.recording import Reader, Recording, Stream, Window, no_samples, refuse_more
+from realsim.gap.recordings.recording import Reader, Recording, Stream, no_samples, refuse_more
 from realsim.gap.recordings.tables import labelled, on_one_clock, streams
 from realsim.gap.recordings.vocabulary import plain, split_unit
 
@@ -27,7 +27,7 @@ def recognise(path: Path) -> bool:
     return begin(lines)[1] < len(lines)
 
 
-def read(path: Path, window: Window) -> list[Recording]:
+def read(path: Path) -> list[Recording]:
     found = read_text_table(path, lambda cell: split_unit(f"x [{cell}]")[1], lambda size: refuse_more(path, size), FEW)
     numbers = {n: v for n, v in found.columns.items() if np.isfinite(v).any()}
     dropped, columns = [n for n in found.parts if n and n not in numbers], _untagged(numbers)
@@ -41,8 +41,8 @@ def read(path: Path, window: Window) -> list[Recording]:
     if clocks[:1] == [0]:  # each group of signals has a clock of its own
         of = {n: columns[names[max(c for c in clocks if c <= k)]] for k, n in enumerate(names) if k not in clocks}
         columns = on_one_clock({n: (t[np.isfinite(t)], columns[n][np.isfinite(t)]) for n, t in of.items()})
-    stream = None if found.header else _echoed(path, found, window)
-    made = (stream,) if stream else streams(path, columns, found.words, notes, window)
+    stream = None if found.header else _echoed(path, found)
+    made = (stream,) if stream else streams(path, columns, found.words, notes)
     dropped = [n for n in dropped if not any(f"({n}" in note for note in notes)]
     notes += [f"columns of text left out: {', '.join(dropped[:8])}"] if dropped else []
     made = tuple(_called(s, found.words) for s in made)
@@ -71,7 +71,7 @@ def _called(stream: Stream, words: Mapping[str, Sequence[str]]) -> Stream:
     return replace(stream, fields=fields)
 
 
-def _echoed(path: Path, found: TextTable, window: Window) -> Stream | None:
+def _echoed(path: Path, found: TextTable) -> Stream | None:
     """What `ros2 topic echo --csv` prints of sensor_msgs/JointState: stamp, frame, names, and as many positions,
     velocities and efforts; None for another table without a header.
 
@@ -100,7 +100,7 @@ def _echoed(path: Path, found: TextTable, window: Window) -> Stream | None:
         for k, kind in enumerate(("position", "velocity", "effort")[: int(kinds)])
     }
     clock = {"stamp [s]": columns[stamp] + 1e-9 * nanoseconds}
-    return labelled(path, clock, parts, [found.words[n][0] for n in names], window, "sensor_msgs/msg/JointState")
+    return labelled(path, clock, parts, [found.words[n][0] for n in names], "sensor_msgs/msg/JointState")
 
 
 READER = Reader("csv", "a .csv, .tsv, .txt, .dat, .lvm or .log table", recognise, read)

@@ -18,7 +18,6 @@ from realsim.core.types import F64
 from realsim.gap.recordings.recording import (
     Reader,
     Recording,
-    Window,
     facts_of,
     has_suffix,
     no_samples,
@@ -32,7 +31,7 @@ DEEPEST = 12
 """Groups within groups."""
 
 
-def read(path: Path, window: Window) -> list[Recording]:
+def read(path: Path) -> list[Recording]:
     h5py = extra("h5py", "logs", "reading HDF5")
     check_size(path)
     with readable(path, "HDF5 file", "groups and datasets"), h5py.File(path, "r") as file:
@@ -50,7 +49,7 @@ def read(path: Path, window: Window) -> list[Recording]:
             path,
             f"{path.stem}_{run}" if run else path.stem,
             "hdf5",
-            (named(table(path, "", c, window=window), lists),),
+            (named(table(path, "", c), lists),),
             facts=facts,
         )
         for run, c in columns.items()

@@ -18,8 +18,6 @@ from realsim.gap.recordings.recording import (
     Reader,
     Recording,
     Stream,
-    Window,
-    in_window,
     no_samples,
     readable,
     refuse_more,
@@ -34,7 +32,7 @@ def recognise(path: Path) -> bool:
     return path.is_dir() and (path / "meta" / "info.json").is_file() and (path / "data").is_dir()
 
 
-def read(path: Path, window: Window) -> list[Recording]:
+def read(path: Path) -> list[Recording]:
     info = read_json(path / "meta" / "info.json")
     features = info.get("features") if isinstance(info, dict) else None
     if not isinstance(features, dict):
@@ -66,15 +64,11 @@ def read(path: Path, window: Window) -> list[Recording]:
     for episode in episodes[:MAX_EPISODES]:
         rows = np.flatnonzero(whole["episode_index"] == episode)
         clock = whole["timestamp"][rows] if "timestamp" in whole else rows / float(info.get("fps", 30))
-        keep = in_window(clock, window)
-        if keep.any():
-            parts_of = {
-                m: f for n, v in fields.items() for m, f in by_signal(n, Field(v[rows[keep]], labels[n])).items()
-            }
-            stream = Stream("", "lerobot", {"timestamp": clock[keep]}, parts_of)
-            found.append(Recording(path, f"episode_{int(episode):06d}", "lerobot", (stream,), skipped, notes, facts))
+        parts_of = {m: f for n, v in fields.items() for m, f in by_signal(n, Field(v[rows], labels[n])).items()}
+        stream = Stream("", "lerobot", {"timestamp": clock}, parts_of)
+        found.append(Recording(path, f"episode_{int(episode):06d}", "lerobot", (stream,), skipped, notes, facts))
     if not found:
-        raise no_samples(path, "episodes with rows", window=window)
+        raise no_samples(path, "episodes with rows")
     return found
 
 

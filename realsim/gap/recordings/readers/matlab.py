@@ -6,15 +6,14 @@ Objects of classes (`timeseries`, `Dataset`) cannot be read without MATLAB. From
 import struct
 import zlib
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from realsim.core.errors import GapError
 from realsim.core.files import MAX_BINARY_BYTES, check_size
-from realsim.core.types import F64
+from realsim.gap.recordings.flatten import flatten
 from realsim.gap.recordings.readers import hdf5
-from realsim.gap.recordings.recording import Reader, Recording, Window, facts_of, has_suffix, readable, refuse_more
+from realsim.gap.recordings.recording import Reader, Recording, facts_of, has_suffix, readable, refuse_more
 from realsim.gap.recordings.tables import as_long_as_most, table
 
 COMPRESSED = 15
@@ -23,26 +22,27 @@ CHUNK = 2**24
 HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
-def read(path: Path, window: Window) -> list[Recording]:
+def read(path: Path) -> list[Recording]:
     from scipy.io import loadmat
 
     check_size(path)
     with path.open("rb") as file:
         head = file.read(512 + len(HDF5))
     if HDF5 in (head[: len(HDF5)], head[512:]):
-        return hdf5.read(path, window)
+        return hdf5.read(path)
     with readable(path, ".mat file", "arrays, or structures of arrays, saved by MATLAB or scipy"):
         _refuse_bomb(path, ">" if head[126:128] == b"MI" else "<")
         value = loadmat(path, simplify_cells=True)
-    found = _flat({n: v for n, v in value.items() if not n.startswith("__")})
+    value = {n: v for n, v in value.items() if not n.startswith("__")}
+    arrays = {n: v for n, v in flatten(value).items() if isinstance(v, np.ndarray)}
+    found = {n: v.astype(np.float64) for n, v in arrays.items() if v.dtype.kind in "fiub" and v.ndim in (1, 2)}
     columns = as_long_as_most(found)
     if not columns:
         hint = "objects such as timeseries need MATLAB: t = ts.Time; q = ts.Data; save('log.mat', 't', 'q')"
         shapes = "; ".join(f"{n} {v.shape}" for n, v in list(found.items())[:12]) or "nothing"
         raise GapError("no arrays with a row a sample", file=path, found=shapes, hint=hint)
     refuse_more(path, sum(v.size for v in columns.values()))
-    facts = facts_of({n: v for n, v in value.items() if not n.startswith("__")})
-    return [Recording(path, path.stem, "matlab", (table(path, "", columns, window=window),), facts=facts)]
+    return [Recording(path, path.stem, "matlab", (table(path, "", columns),), facts=facts_of(value))]
 
 
 def _refuse_bomb(path: Path, order: str) -> None:
@@ -63,21 +63,6 @@ def _refuse_bomb(path: Path, order: str) -> None:
                     raise GapError(
                         "the file unpacks to too much", file=path, expected=f"at most {MAX_BINARY_BYTES} bytes"
                     )
-
-
-def _flat(values: dict[str, Any], place: str = "") -> dict[str, F64]:
-    """Arrays of numbers by their dotted names."""
-    found: dict[str, F64] = {}
-    for name, value in values.items():
-        full = f"{place}.{name}".lstrip(".")
-        if isinstance(value, dict):
-            found |= _flat(value, full)
-        elif isinstance(value, (list, np.ndarray)) and len(value) and all(isinstance(v, dict) for v in value):
-            labels = [str(v.get("label") or v.get("name") or k + 1) for k, v in enumerate(value)]  # signals of a Scope
-            found |= _flat(dict(zip(labels, value, strict=True)), full)
-        elif isinstance(value, np.ndarray) and value.dtype.kind in "fiub" and value.ndim in (1, 2):
-            found[full] = np.asarray(value, dtype=np.float64)
-    return found
 
 
 READER = Reader("matlab", "a .mat file", has_suffix(".mat"), read)

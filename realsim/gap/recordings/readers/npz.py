@@ -8,7 +8,7 @@ import numpy as np
 
 from realsim.core.files import read_npz
 from realsim.core.types import F64
-from realsim.gap.recordings.recording import Reader, Recording, Window, facts_of, has_suffix, no_samples, refuse_more
+from realsim.gap.recordings.recording import Reader, Recording, facts_of, has_suffix, no_samples, refuse_more
 from realsim.gap.recordings.tables import as_long_as_most, named, table
 
 MAX_ROBOTS = 12
@@ -16,7 +16,7 @@ MAX_ROBOTS = 12
 NAMES = ("cols", "columns", "names", "header")
 
 
-def read(path: Path, window: Window) -> list[Recording]:
+def read(path: Path) -> list[Recording]:
     arrays = read_npz(path)
     texts = {n: v for n, v in arrays.items() if v.dtype.kind in "US"}
     numbers = {n: np.asarray(v, dtype=np.float64) for n, v in arrays.items() if v.dtype.kind in "fiub"}
@@ -25,10 +25,10 @@ def read(path: Path, window: Window) -> list[Recording]:
     if worlds := _worlds(numbers):
         left = (f"{path.name}: {MAX_ROBOTS} of its {len(worlds)} robots were read",) if len(worlds) > MAX_ROBOTS else ()
         return [
-            replace(_recording(path, w, texts, facts, window), name=f"{path.stem}_{k}", notes=left)
+            replace(_recording(path, w, texts, facts), name=f"{path.stem}_{k}", notes=left)
             for k, w in enumerate(worlds[:MAX_ROBOTS])
         ]
-    return [_recording(path, numbers, texts, facts, window)]
+    return [_recording(path, numbers, texts, facts)]
 
 
 def _worlds(numbers: dict[str, F64]) -> list[dict[str, F64]]:
@@ -42,14 +42,12 @@ def _worlds(numbers: dict[str, F64]) -> list[dict[str, F64]]:
     return [{n: np.asarray(v[:, k]) for n, v in deep.items()} | flat for k in range(count)]
 
 
-def _recording(
-    path: Path, numbers: dict[str, F64], texts: dict[str, Any], facts: dict[str, Any], window: Window
-) -> Recording:
+def _recording(path: Path, numbers: dict[str, F64], texts: dict[str, Any], facts: dict[str, Any]) -> Recording:
     columns = _table(numbers, texts) or as_long_as_most(numbers)
     if not columns:
         raise no_samples(path, "arrays with a row a sample", {n: str(v.shape) for n, v in numbers.items()})
     refuse_more(path, sum(v.size for v in columns.values()))
-    stream = table(path, "", columns, window=window)
+    stream = table(path, "", columns)
     stream = named(stream, [tuple(map(str, v)) for v in texts.values() if v.ndim == 1])
     return Recording(path, path.stem, "npz", (stream,), facts=facts)
 

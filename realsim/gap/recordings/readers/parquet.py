@@ -9,16 +9,16 @@ import numpy as np
 from realsim.core.errors import extra
 from realsim.core.text_table import MAX_WIDTH
 from realsim.core.types import F64
-from realsim.gap.recordings.recording import Reader, Recording, Window, has_suffix, no_samples, readable, refuse_more
+from realsim.gap.recordings.recording import Reader, Recording, has_suffix, no_samples, readable, refuse_more
 from realsim.gap.recordings.tables import rows, table
 from realsim.gap.recordings.vocabulary import TIMES
 
 
-def read(path: Path, window: Window) -> list[Recording]:
+def read(path: Path) -> list[Recording]:
     columns, skipped = columns_of(path)
     if not columns:
         raise no_samples(path, "columns of numbers or of lists of numbers", skipped)
-    stream = table(path, "", columns, window=window)
+    stream = table(path, "", columns)
     return [Recording(path, path.stem, "parquet", (stream,), skipped)]
 
 

@@ -15,7 +15,6 @@ from realsim.gap.recordings.recording import (
     Reader,
     Recording,
     Stream,
-    Window,
     facts_of,
     first_line,
     no_samples,
@@ -41,7 +40,7 @@ def recognise(path: Path) -> bool:
     return parser_of(path) is not None
 
 
-def read(path: Path, window: Window) -> list[Recording]:
+def read(path: Path) -> list[Recording]:
     check_size(path, MAX_BYTES)
     notes: list[str] = []
     facts: dict[str, Any] = {}
@@ -60,7 +59,7 @@ def read(path: Path, window: Window) -> list[Recording]:
             signals = {name: rows(path, _rows(run), notes) for name, run in runs.items()}
             refuse_more(path, sum(v.size for found in signals.values() for v in found.values()))
             return [
-                Recording(path, f"{path.stem}_{name}", "records", (table(path, "", found, window=window),),
+                Recording(path, f"{path.stem}_{name}", "records", (table(path, "", found),),
                           notes=tuple(notes), facts=facts)
                 for name, found in signals.items()
             ]  # fmt: skip
@@ -74,7 +73,7 @@ def read(path: Path, window: Window) -> list[Recording]:
         columns = rows(path, part, notes, spelled)
         if columns:
             refuse_more(path, sum(v.size for v in columns.values()))
-            made += streams(path, columns, spelled, notes, window, topic)
+            made += streams(path, columns, spelled, notes, topic)
     if not made:
         raise no_samples(path, "objects with numbers or lists of numbers", notes=notes)
     if any(s.clocks for s in made):

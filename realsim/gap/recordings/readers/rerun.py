@@ -18,9 +18,7 @@ from realsim.gap.recordings.recording import (
     Reader,
     Recording,
     Stream,
-    Window,
     has_suffix,
-    in_window,
     no_samples,
     readable,
     refuse_more,
@@ -31,7 +29,7 @@ from realsim.gap.recordings.vocabulary import unit_of
 RECEIVED = "log_time"
 
 
-def read(path: Path, window: Window) -> list[Recording]:
+def read(path: Path) -> list[Recording]:
     chunks = extra("rerun.chunk", "rerun", "reading .rrd")
     parts: dict[tuple[str, str], list[tuple[F64, F64]]] = {}
     labels: dict[str, tuple[str, ...]] = {}
@@ -50,9 +48,9 @@ def read(path: Path, window: Window) -> list[Recording]:
                 parts.setdefault((member, clock), []).append((time, values))
                 size += values.size
                 refuse_more(path, size)
-    streams = _streams(parts, labels, skipped, window)
+    streams = _streams(parts, labels, skipped)
     if not streams:
-        raise no_samples(path, "components of numbers on a timeline", skipped, window)
+        raise no_samples(path, "components of numbers on a timeline", skipped)
     notes = (f"{count} recordings are in the file: the first is read",) if count > 1 else ()
     return [Recording(path, path.stem, "rerun", streams, skipped, notes)]
 
@@ -110,7 +108,6 @@ def _streams(
     parts: dict[tuple[str, str], list[tuple[F64, F64]]],
     labels: dict[str, tuple[str, ...]],
     skipped: dict[str, str],
-    window: Window,
 ) -> tuple[Stream, ...]:
     """Components that were logged at the same moments are one stream."""
     together: dict[tuple[str, bytes], tuple[F64, dict[str, F64]]] = {}
@@ -120,9 +117,8 @@ def _streams(
         time = np.concatenate([t for t, v in found if v.shape[1] == width])
         values = np.concatenate([v for _, v in found if v.shape[1] == width])
         order = np.argsort(time, kind="stable")
-        keep = order[in_window(time[order], window)]
-        if len(keep) > 1:
-            together.setdefault((clock, time[keep].tobytes()), (time[keep], {}))[1][member] = values[keep]
+        if len(order) > 1:
+            together.setdefault((clock, time[order].tobytes()), (time[order], {}))[1][member] = values[order]
         else:
             skipped[member] = "hardly a sample"
     streams = []

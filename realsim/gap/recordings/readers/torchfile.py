@@ -9,11 +9,11 @@ import numpy as np
 
 from realsim.core.errors import GapError, extra
 from realsim.core.files import archive_damage, check_size
-from realsim.gap.recordings.recording import Reader, Recording, Window, has_suffix, no_samples, readable, refuse_more
+from realsim.gap.recordings.recording import Reader, Recording, has_suffix, no_samples, readable, refuse_more
 from realsim.gap.recordings.tables import as_long_as_most, table
 
 
-def read(path: Path, window: Window) -> list[Recording]:
+def read(path: Path) -> list[Recording]:
     torch = extra("torch", "train", "reading .pt")
     check_size(path)
     if (damage := archive_damage(path)) is not None:
@@ -27,7 +27,7 @@ def read(path: Path, window: Window) -> list[Recording]:
     if not columns:
         raise no_samples(path, "tensors with a row a sample", {n: str(v.shape) for n, v in arrays.items()})
     refuse_more(path, sum(v.size for v in columns.values()))
-    return [Recording(path, path.stem, "torch", (table(path, "", columns, window=window),))]
+    return [Recording(path, path.stem, "torch", (table(path, "", columns),))]
 
 
 READER = Reader("torch", "a .pt file with a dictionary of tensors", has_suffix(".pt", ".pth"), read)

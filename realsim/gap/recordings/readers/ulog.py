@@ -10,9 +10,7 @@ from realsim.gap.recordings.recording import (
     Reader,
     Recording,
     Stream,
-    Window,
     first_line,
-    in_window,
     no_samples,
     readable,
 )
@@ -28,7 +26,7 @@ def recognise(path: Path) -> bool:
     return path.is_file() and (path.suffix.lower() == ".ulg" or first_line(path, 8).startswith(MAGIC))
 
 
-def read(path: Path, window: Window) -> list[Recording]:
+def read(path: Path) -> list[Recording]:
     pyulog = extra("pyulog", "logs", "reading .ulg")
     check_size(path, MAX_BYTES)
     with readable(path, "ULog file"):
@@ -36,18 +34,14 @@ def read(path: Path, window: Window) -> list[Recording]:
     streams = []
     for entry in log.data_list:
         stamps = np.asarray(entry.data["timestamp"], dtype=np.float64) * 1e-6
-        keep = in_window(stamps, window)
-        columns = {
-            n: np.asarray(v, dtype=np.float64)[keep]
-            for n, v in entry.data.items()
-            if n != "timestamp" and np.asarray(v).dtype.kind in "fiub"
-        }
-        if keep.any() and columns:
-            clocks = {"header": stamps[keep]}  # the autopilot stamps when it samples; nothing is received
+        arrays = {n: np.asarray(v) for n, v in entry.data.items() if n != "timestamp"}
+        columns = {n: v.astype(np.float64) for n, v in arrays.items() if v.dtype.kind in "fiub"}
+        if len(stamps) and columns:
+            clocks = {"header": stamps}  # the autopilot stamps when it samples; nothing is received
             name = entry.name + (f"[{entry.multi_id}]" if entry.multi_id else "")
             streams.append(Stream(name, entry.name, clocks, grouped(columns)))
     if not streams:
-        raise no_samples(path, "logged messages", window=window)
+        raise no_samples(path, "logged messages")
     notes: tuple[str, ...] = (f"{len(log.dropouts)} dropouts in the log",) if log.dropouts else ()
     if log.file_corruption or not _whole(path):
         notes += (f"{path.name} is damaged: read as far as it goes",)
