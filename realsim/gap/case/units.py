@@ -12,9 +12,9 @@ from realsim.core.statistics import alike
 from realsim.core.types import F64
 
 TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-ANGLE = {"rad": 1.0, "deg": pi / 180, "rev": 2 * pi, "mrad": 1e-3}
+ANGLE = {"rad": 1.0, "deg": pi / 180, "rev": 2 * pi, "mrad": 1e-3, "mdeg": pi / 180e3}
 LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
-TURNING = {"rad/s": 1.0, "deg/s": pi / 180, "rpm": pi / 30, "rev/s": 2 * pi, "mrad/s": 1e-3}
+TURNING = {"rad/s": 1.0, "deg/s": pi / 180, "rpm": pi / 30, "rev/s": 2 * pi, "mrad/s": 1e-3, "mdeg/s": pi / 180e3}
 MOVING = {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3}
 TORQUE = {"N m": 1.0, "Nm": 1.0, "mN m": 1e-3, "mNm": 1e-3, "N cm": 1e-2, "kgf cm": 0.0980665}
 FORCE = {"N": 1.0, "kgf": 9.80665}

@@ -8,9 +8,9 @@ import numpy as np
 from realsim.core.errors import GapError
 from realsim.core.statistics import alike
 from realsim.core.types import F64
-from realsim.gap.case.units import ANGLE, TORQUE, TURNING
+from realsim.gap.case.units import ANGLE, FORCE, LENGTH, MOVING, TORQUE, TURNING, nearest_unit
 from realsim.gap.recordings.evidence import Evidence
-from realsim.gap.recordings.joints import columns_for, torque
+from realsim.gap.recordings.joints import columns_for, kinds_of, torque
 from realsim.gap.recordings.model import Target
 from realsim.gap.recordings.names import known_type, match_joints
 from realsim.gap.recordings.pairing import ALIKE, BETTER, LEADS, PLAIN, agreement, leads, pair
@@ -23,8 +23,8 @@ OTHER_UNIT = 3.0
 THE_UNIT = 1.6
 """Ratio up to which it is in another one."""
 BY_VALUES = "what the joints did: they follow it"
-NEGATED = -0.8
-"""Correlation below which a joint does the opposite of its command."""
+FOLLOWS = 0.8
+"""Correlation from which a joint tells the size of its command."""
 
 
 def command(e: Evidence) -> None:
@@ -57,29 +57,29 @@ def command(e: Evidence) -> None:
     scale, unit, offset, reasons, odd = _scale(e, kind, source, columns, joints)
     evidence += reasons
     doubtful |= odd
-    if e.target is None:
-        e.settle("command", source, columns, joints, evidence, scale=scale, offset=offset, unit=unit, doubtful=doubtful)
-    else:
-        keep = [j for j in range(len(e.target.actuators)) if e.target.driven[j] in joints]
-        order = [joints.index(e.target.driven[j]) for j in keep]
-        gear = (
-            np.array([e.target.model.actuator_gear[j, 0] for j in keep]) if kind == "position" else np.ones(len(keep))
+    names, order, gear = _driving(e.target, joints)
+    if kind != "position":
+        gear = np.ones(len(order))
+    if (gear != 1).any():
+        evidence.append("multiplied by the actuators' gear: their commands are the actuator's")
+    e.settle("command", source, [columns[i] for i in order], names, evidence, scale=scale[order] * gear,
+             offset=offset[order], unit=unit, doubtful=doubtful or bool(e.target and wanted != kind))  # fmt: skip
+    if wanted not in ("", kind):
+        e.warn(
+            f"the log commands {kind}s, the model's actuators take {wanted}s: give the model {kind} actuators, "
+            f"or name the field of {wanted}s: --use command=STREAM:FIELD"
         )
-        if (gear != 1).any():
-            evidence.append("multiplied by the actuators' gear: their commands are the actuator's")
-        per_joint = np.broadcast_to(scale, len(columns))
-        e.settle(
-            "command", source, [columns[i] for i in order], [e.target.actuators[j] for j in keep], evidence,
-            scale=per_joint[order] * gear, offset=offset[order], unit=unit,
-            doubtful=doubtful or wanted != kind,
-        )  # fmt: skip
-        if wanted and wanted != kind:
-            e.warn(
-                f"the log commands {kind}s, the model's actuators take {wanted}s: give the model {kind} actuators, "
-                f"or name the field of {wanted}s: --use command=STREAM:FIELD"
-            )
     e.proposal.command_kind = kind
     _gains(e, source)
+
+
+def _driving(target: Target | None, joints: Sequence[str]) -> tuple[list[str], list[int], F64]:
+    """(the actuators of these joints, or without a model the joints; the place of each one's joint; gears)."""
+    if target is None:
+        return list(joints), list(range(len(joints))), np.ones(len(joints))
+    keep = [u for u, joint in enumerate(target.driven) if joint in joints]
+    order = [list(joints).index(target.driven[u]) for u in keep]
+    return [target.actuators[u] for u in keep], order, target.model.actuator_gear[keep, 0]
 
 
 def of_the_policy(e: Evidence) -> None:
@@ -119,8 +119,9 @@ def _leader(e: Evidence) -> Candidate | None:
 
 def _of_a_body(e: Evidence, target: Target) -> None:
     """Commands of a body without joints, a drone's: a column for each actuator, by name, else in their order."""
+    named = [c for c in e.candidates if not c.role and len(match_joints(e.of(c)[1].labels, target.actuators)) > 1]
     found = [c for c in (*e.candidates_for("command"), *e.candidates_for("command.")) if moves(e, c)]
-    fitting = [(c, _actuators(e.of(c)[1], target)) for c in found]
+    fitting = [(c, _actuators(e.of(c)[1], target)) for c in found or ("command" not in e.chosen and named) or ()]
     ranked = [(c, columns, how) for c, (columns, how) in fitting if columns]
     if not ranked:
         return
@@ -196,38 +197,35 @@ def _scale(
 
     A position command is in the positions' unit and signs, unless its name or what the joints did says otherwise.
     """
-    still = np.zeros(len(columns))
+    declared, units, reasons = e.units(source, columns), list[str](), list[str]()
     if kind != "position":
-        sizes = TURNING if kind == "velocity" else TORQUE
-        unit = source.unit if source.unit in sizes else next(iter(sizes))
-        return np.full(len(columns), sizes[unit]), unit, still, [], False
+        scale = np.ones(len(columns))
+        both = (TURNING, MOVING) if kind == "velocity" else (TORQUE, FORCE)
+        for given, sizes, part in kinds_of(e.target, joints, declared, *both):
+            units.append(given if given in sizes else next(iter(sizes)))
+            scale[part] = sizes[units[-1]]
+        return scale, ", ".join(dict.fromkeys(units)), np.zeros(len(columns)), [], False
     place = e.proposal.assignments["joint_pos"]
     at = [place.targets.index(j) for j in joints]
     scale, offset = np.array(place.scale)[at], np.array(place.offset)[at]
-    factors, reasons, doubtful = [], [], place.doubtful
+    gains: list[list[float]] = [[] for _ in columns]
     for time, commanded, done in e.in_runs(source, "joint_pos"):
         for k, column in enumerate(columns):
             corr, _, gain, _ = follows(time, scale[k] * (commanded[:, column] - offset[k]), done[:, at[k]])
-            if corr > -NEGATED:
-                factors.append(gain)
-            elif follows(time, -commanded[:, column] * scale[k], done[:, at[k]])[0] > -NEGATED:
-                text = f"{joints[k]} does the opposite of its command: is the sign of one of them another? Check it"
-                reasons += [text] if text not in reasons else []
-                doubtful = True
-    factor = float(np.median(factors)) if factors else 1.0
-    declared = source.unit if source.unit in ANGLE and place.unit in ANGLE and source.unit != place.unit else ""
-    others = {u: ANGLE[u] / ANGLE.get(place.unit, 1.0) for u in ANGLE if place.unit in ANGLE and u != place.unit}
-    near = min(others, key=lambda u: abs(np.log(max(factor, 1e-9) / others[u])), default="")
-    if not declared and near and max(factor, 1 / max(factor, 1e-9)) > OTHER_UNIT:
-        if max(factor / others[near], others[near] / factor) < THE_UNIT:
-            declared = near
-            reasons.append(f"the joints do {factor:.3g} times as much as is commanded in {place.unit}: it is in {near}")
-        else:
-            doubtful = True
-            reasons.append(f"the joints do {factor:.3g} times as much as is commanded, which is no unit")
-    if declared:
-        return np.sign(scale) * ANGLE[declared], declared, still, reasons, doubtful
-    return scale, place.unit, offset, reasons, doubtful
+            gains[k] += [gain] if corr > FOLLOWS else []
+    for given, sizes, part in kinds_of(e.target, joints, declared, ANGLE, LENGTH):
+        own, known = abs(scale[part[0]]), [g for k in part for g in gains[k]]
+        factor, unit = float(np.median(known)) if known else 1.0, given if given in sizes else ""
+        if not unit and max(factor, 1 / factor) > OTHER_UNIT:
+            near = nearest_unit(1 / (factor * own), sizes)
+            if max(factor * own / sizes[near], sizes[near] / (factor * own)) < THE_UNIT:
+                unit = near
+                text = f"the joints do {factor:.3g} times as much as is commanded in {place.unit}: it is in {near}"
+                reasons.append(text)
+        if unit and abs(sizes[unit] / own - 1) > 1e-6:
+            scale[part], offset[part] = np.sign(scale[part]) * sizes[unit], 0.0
+        units.append(unit or place.unit)
+    return scale, ", ".join(dict.fromkeys(units)), offset, reasons, place.doubtful
 
 
 def _order(
@@ -253,7 +251,9 @@ def _order(
     if named:
         if found.gain < PLAIN:
             return list(columns), [], False
-        return list(columns), [f"the names say otherwise than the signals: {which}: check the names"], True
+        text = f"the names say otherwise than the signals: {which}: check the names"
+        e.proposal.assignments["joint_pos"] = replace(place, evidence=(*place.evidence, text), doubtful=True)
+        return list(columns), [text], True
     types = e.stream(source).type, e.stream(place.source).type
     files = types == ("table", "table") and source.member == place.source.member  # of one program
     promised = source.stream == place.source.stream or files or all(map(known_type, types))
@@ -277,10 +277,9 @@ def _measured_torque(e: Evidence) -> None:
         return
     leader = _leader(e)
     doubt = f"but they follow {leader.label}: were they commanded by it? --use command={leader.label}" if leader else ""
-    keep = [j for j in range(len(e.target.actuators)) if e.target.driven[j] in found.targets]
-    at = [found.targets.index(e.target.driven[j]) for j in keep]
+    names, at, _ = _driving(e.target, found.targets)
     e.settle(
-        "command", found.source, [found.columns[i] for i in at], [e.target.actuators[j] for j in keep],
+        "command", found.source, [found.columns[i] for i in at], names,
         ["no command was recorded, and the model's actuators are torque motors: the measured torque drives them",
          doubt],
         scale=[found.scale[i] for i in at], unit=found.unit, doubtful=found.doubtful or bool(doubt),

@@ -2,6 +2,8 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from os.path import commonpath
+from pathlib import Path
 from shlex import quote
 from typing import Any
 
@@ -49,6 +51,11 @@ class Evidence:
         time, values = increasing(time, field_.values, stream.type)
         return time, replace(field_, values=values)
 
+    def units(self, source: Candidate, columns: Sequence[int]) -> list[str]:
+        """What the file says of each column's unit."""
+        units = self.of(source)[1].units
+        return [units[c] if units else source.unit for c in columns]
+
     def stream(self, source: Candidate) -> Stream:
         return next(s for s in self.recording.streams if s.name == source.stream)
 
@@ -72,7 +79,8 @@ class Evidence:
         return sorted(
             found,
             key=lambda c: (
-                c.stream != place, -_shared(c.stream, place), rawness(c.member), -len(self.of(c)[0]), c.label
+                c.stream != place, -len(Path(commonpath([f"/{t.strip('/')}" for t in (c.stream, place)])).parts),
+                rawness(c.member), -len(self.of(c)[0]), c.label
             ),
         )  # fmt: skip
 
@@ -138,16 +146,6 @@ class Evidence:
         found = [alike(fa.values[:MOST, k], other[:, k]) for k in range(fa.width)]
         moving = [f for f, k in zip(found, range(fa.width), strict=True) if np.nanstd(fa.values[:, k]) > 1e-3]
         return not moving or float(np.median(moving)) > SAME or not np.isfinite(other).any()
-
-
-def _shared(a: str, b: str) -> int:
-    """How many parts of two topics' names agree from the start."""
-    count = 0
-    for x, y in zip(a.strip("/").split("/"), b.strip("/").split("/"), strict=False):
-        if x != y:
-            break
-        count += 1
-    return count
 
 
 def two_robots(recording: Recording, a: Candidate, b: Candidate) -> GapError:

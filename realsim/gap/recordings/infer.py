@@ -13,26 +13,22 @@ import numpy as np
 from realsim.core.errors import GapError, did_you_mean
 from realsim.gap.case.runs import find_gaps
 from realsim.gap.recordings import body, commands, joints, overrides
-from realsim.gap.recordings.arrays import run_arrays
 from realsim.gap.recordings.clocks import Clocked, clocked
+from realsim.gap.recordings.confirm import confirm
 from realsim.gap.recordings.depth import choose, is_frames
-from realsim.gap.recordings.evidence import MOST_RUNS, Evidence
+from realsim.gap.recordings.evidence import Evidence
 from realsim.gap.recordings.model import Target
 from realsim.gap.recordings.names import meaning
 from realsim.gap.recordings.pairing import LEADS, MOST_COLUMNS, blocks, leads
 from realsim.gap.recordings.proposal import Candidate, Proposal
 from realsim.gap.recordings.recording import Field, Recording, Stream
-from realsim.gap.recordings.signals import follows
+from realsim.gap.recordings.vocabulary import english
 from realsim.gap.recordings.world import World
 
-MOVES = 1e-3
-"""rad of spread from which a joint moves."""
 LETTERS = {"r": "target position", "y": "measured position", "u": "control torque"}
 """Reference, output and input of a plant in textbooks of control, where y and u stand side by side."""
 DESIRED = re.compile(r"(^|[\W_])(d?q|theta|tau(_?J)?)_d$")
 """As papers and libfranka write what is desired: q_d, tau_J_d; it may be a slope where velocities have no name."""
-FOLLOWS = 0.7
-"""Correlation below which a joint does not follow its command."""
 
 
 def propose(
@@ -105,7 +101,7 @@ def propose(
             found=", ".join(proposal.assignments) or "nothing",
         )  # fmt: skip
     proposal.world = world
-    _followed(proposal, target)
+    confirm(proposal, target)
     _missing(evidence)
     used = {a.source.label for a in proposal.assignments.values()}
     proposal.unused = sorted({_label(s, n) for s in main.streams if not is_frames(s) for n in s.fields} - used)
@@ -132,12 +128,21 @@ def _candidates(recording: Recording) -> list[Candidate]:
             letter = LETTERS.get(name) if {"y", "u"} <= set(stream.fields) else None
             role, unit, why = meaning(stream.name, stream.type, letter or name)
             why = f"the letter {name!r} of control engineering" if letter else why
+            if role in ("", "joint_pos") and (found_ := _by_axes(name, field.labels)):
+                role, unit, why = found_, "", f"the axes {', '.join(field.labels)} of {name!r}"
             found.append(Candidate(stream.name, name, role, field.unit or unit, why))
     known = {c.role.partition(".")[0] for c in found if not DESIRED.search(c.member)}
     if "joint_vel" not in known or "command" in known:
         return found
     roles = {c: meaning("", "", f"{c.member[:-2]}_desired")[0] for c in found if DESIRED.search(c.member)}
     return [replace(c, role=roles[c], why=f"the letter d of {c.member!r}") if c in roles else c for c in found]
+
+
+def _by_axes(name: str, labels: Sequence[str]) -> str:
+    """The role of axes whose names say no more than that a state was measured or estimated: `stateEstimate.x`."""
+    if {*labels} == {*"xyzw"}:
+        return "base_quat"
+    return "base_pos" if {*labels} == {*"xyz"} and {*english(name)} <= {"measured", "filtered"} else ""
 
 
 def _by_values(recording: Recording, target: Target | None, uses: Mapping[str, overrides.Use]) -> list[str]:
@@ -247,40 +252,3 @@ def _example(proposal: Proposal) -> str:
 
 def _label(stream: Stream, name: str) -> str:
     return f"{stream.name}:{name}" if stream.name else name
-
-
-def _followed(proposal: Proposal, target: Target | None) -> None:
-    """How the joints follow their position commands, over the runs; a run in which they do not is named."""
-    if not proposal.complete or proposal.command_kind != "position":
-        return
-    rows, idle = [], []
-    targets = proposal.assignments["command"].targets
-    joints_of = dict(zip(target.actuators, target.driven, strict=True)) if target is not None else {}
-    driven = [proposal.joints.index(joints_of.get(a, a)) for a in targets]
-    for recording in proposal.recordings[:MOST_RUNS]:
-        try:
-            arrays = run_arrays(proposal, recording).arrays
-        except GapError:
-            continue  # reported when it is written
-        sent, done = arrays["command"], arrays["joint_pos"]
-        found = [
-            follows(arrays["time"], sent[:, k], done[:, j])
-            for k, j in enumerate(driven)
-            if np.nanstd(sent[:, k]) > MOVES and np.nanstd(done[:, j]) > MOVES
-        ]
-        if not found:
-            continue
-        median = np.median(np.array(found), axis=0)
-        rows.append(median)
-        if median[0] < FOLLOWS:
-            idle.append(f"{recording.name} (correlation {median[0]:.2f})")
-    if not rows:
-        return
-    corr, lag, gain, _ = np.median(np.array(rows), axis=0)
-    text = f"the joints follow it: correlation {corr:.3f}, {1e3 * lag:.3g} ms later, gain {gain:.3g}"
-    command = proposal.assignments["command"]
-    proposal.assignments["command"] = replace(command, evidence=(*command.evidence, text))
-    if idle:
-        proposal.warnings.append(
-            f"the joints hardly follow the command in {', '.join(idle[:6])}: was torque off, or is it another robot's?"
-        )

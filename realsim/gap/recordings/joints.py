@@ -9,11 +9,22 @@ import numpy as np
 
 from realsim.core.statistics import alike
 from realsim.core.types import F64
-from realsim.gap.case.units import ANGLE, LENGTH, NEAR, TORQUE, TURNING, factor, nearest_unit, travelled
+from realsim.gap.case.units import (
+    ANGLE,
+    LENGTH,
+    MOVING,
+    NEAR,
+    TORQUE,
+    TURNING,
+    factor,
+    nearest_unit,
+    speed_factor,
+    travelled,
+)
 from realsim.gap.recordings.evidence import SAME, Evidence, two_robots
 from realsim.gap.recordings.model import ALPHABETICAL, MODELS_ORDER, Target
 from realsim.gap.recordings.names import is_electric, is_other, known_type, match_joints, rawness
-from realsim.gap.recordings.pairing import ALIKE, PLAIN, agreement, pair
+from realsim.gap.recordings.pairing import ALIKE, BETTER, PLAIN, SLOPE, agreement, pair
 from realsim.gap.recordings.proposal import Candidate
 from realsim.gap.recordings.recording import Field
 from realsim.gap.recordings.signals import at, smooth_derivatives
@@ -21,8 +32,8 @@ from realsim.gap.recordings.vocabulary import english
 
 TICKS = 4096
 """Steps a turn of hobby servos' encoders (Dynamixel X, Feetech STS)."""
-HINGE = 3
-"""mjJNT_HINGE."""
+SLIDE = 2
+"""mjJNT_SLIDE."""
 MARGIN = 0.05
 """rad or m beyond its range at which a joint may still be read."""
 SURELY = 0.99
@@ -36,12 +47,11 @@ FEET_LEVEL = 0.02
 """m by which the feet of a standing robot may differ in height."""
 CONVENTION = 0.05
 """Agreement by which another order must do better than the numbers in the columns' names."""
-SLOPE = 0.95
-"""Correlation with the positions' slope from which whole numbers are velocities in steps, of that size. Set
-by hand on made logs, not measured on others."""
 NO_UNIT = 3.0
 """Ratio to the positions' slope from which what is in no unit is no velocity that could be used."""
 AS_NEEDED = "its values alone: they are what the motion needs"
+UNLIKE = 0.2
+"""Correlation with inverse dynamics below which a joint's torque is in doubt, where those of most are above 0.5."""
 DYNAMICS = 600
 """Samples on which inverse dynamics is evaluated."""
 
@@ -75,7 +85,7 @@ def position(e: Evidence) -> None:
         )
         return
     ranges = e.target.ranges[[e.target.joints.index(n) for n in names]]
-    values, sizes, offset, unit, why, odd = _in_si(e.target, names, field.values[:, columns], source.unit)
+    values, sizes, offset, unit, why, odd = _in_si(e.target, names, field.values[:, columns], e.units(source, columns))
     if unit == "deg" and not source.unit and e.stream(source).type == "lerobot" and np.nanmax(np.abs(values)) < 1.75:
         odd, why = True, f"{why}; LeRobot's -100 to 100 of the range look alike: were they recorded with use_degrees?"
     doubtful |= odd
@@ -138,13 +148,11 @@ def _best_positions(e: Evidence, found: Sequence[Candidate]) -> Candidate | None
 def _moved_by(e: Evidence, source: Candidate) -> bool:
     """Whether a field of its stream is the slope of this one: what `q_current` is, a name does not tell."""
     time, field = e.of(source)
-    for other in e.candidates:
-        if other.role == "joint_vel" and other.stream == source.stream and e.of(other)[1].width == field.width:
-            speed = e.of(other)[1].values
-            pairs = (travelled(time, field.values[:, k], speed[:, k]) for k in range(field.width))
-            found = [abs(alike(sums, moved)) for moved, sums in pairs if len(moved) and np.nanstd(moved) > 1e-4]
-            if found and np.median(found) > SLOPE:
-                return True
+    speeds = [e.of(c)[1] for c in e.candidates if c.role == "joint_vel" and c.stream == source.stream]
+    for speed in (s.values for s in speeds if s.width == field.width):
+        found = (speed_factor(*travelled(time, field.values[:, k], speed[:, k])).corr for k in range(field.width))
+        if (moving := [abs(c) for c in found if c]) and np.median(moving) > SLOPE:
+            return True
     return False
 
 
@@ -228,7 +236,7 @@ def _order_score(e: Evidence, field: Field, order: Mapping[int, str], source: Ca
     assert e.target is not None
     columns, names = list(order), list(order.values())
     ranges = e.target.ranges[[e.target.joints.index(n) for n in names]]
-    values, *_ = _in_si(e.target, names, field.values[:, columns], source.unit)
+    values, *_ = _in_si(e.target, names, field.values[:, columns], e.units(source, columns))
     parts = {"in range": _share_within(ranges, values)}
     level = _feet_level(e, names, values)
     if level is not None:
@@ -269,24 +277,36 @@ def _feet_level(e: Evidence, order: Sequence[str], values: F64) -> float | None:
 # ---------------------------------------------------------------- units and signs of positions
 
 
-def _in_si(target: Target, names: Sequence[str], values: F64, declared: str) -> tuple[F64, F64, F64, str, str, bool]:
+def _in_si(
+    target: Target, names: Sequence[str], values: F64, declared: Sequence[str]
+) -> tuple[F64, F64, F64, str, str, bool]:
     """(values (T, K) in rad and m, (K,) factors, (K,) offsets, unit, why, whether in doubt): hinges, then slides."""
     ranges = target.ranges[[target.joints.index(n) for n in names]]
-    hinges = np.array([target.model.joint(n).type[0] == HINGE for n in names])
     size, offset, found, reasons, doubtful = np.ones(len(names)), np.zeros(len(names)), [], [], False
-    for kind, units in (both for both in ((hinges, ANGLE), (~hinges, LENGTH)) if both[0].any()):
-        unit, offset[kind], why = _unit(ranges[kind], values[:, kind], declared, units)
+    for given, units, kind in kinds_of(target, names, declared, ANGLE, LENGTH):
+        unit, offset[kind], why = _unit(ranges[kind], values[:, kind], given, units)
         size[kind] = units.get(unit, 2 * np.pi / TICKS)
         usual, free = next(iter(units)), not np.isfinite(ranges[kind]).all(axis=1).any()
         turned = _share_within(ranges[kind], 2 * np.pi * values[:, kind])
-        if unit == "rad" and declared not in units and turned > SURELY:
+        if unit == "rad" and given not in units and turned > SURELY:
             doubtful = True  # joints without ranges are within them in any unit
             why += "; in turns they may be, too: give the unit in the column's name, q1 [rad]"
         # How many steps a turn has, where zero is, and what unit a size alone tells, is nowhere in the data.
-        doubtful |= unit == "ticks" or ((free or units is LENGTH) and unit not in (declared, usual))
+        doubtful |= unit == "ticks" or ((free or units is LENGTH) and unit not in (given, usual))
         found.append(unit)
-        reasons.append(why)
-    return (values - offset) * size, size, offset, found[0], "; slides ".join(reasons), doubtful
+        reasons.append(f"slides {why}" if units is LENGTH else why)
+    return (values - offset) * size, size, offset, ", ".join(dict.fromkeys(found)), "; ".join(reasons), doubtful
+
+
+def kinds_of(
+    target: Target | None, names: Sequence[str], declared: Sequence[str], *units: Mapping[str, float]
+) -> list[tuple[str, Mapping[str, float], list[int]]]:
+    """(declared unit, units of that kind, columns) of joints of one kind and unit: hinges, then slides."""
+    slide = [target is not None and target.model.joint(n).type[0] == SLIDE for n in names]
+    kinds: dict[tuple[bool, str], list[int]] = {}
+    for k, kind in sorted(enumerate(zip(slide, declared, strict=True)), key=lambda item: item[1][0]):
+        kinds.setdefault(kind, []).append(k)
+    return [(given, units[int(is_slide)], columns) for (is_slide, given), columns in kinds.items()]
 
 
 def _unit(ranges: F64, values: F64, declared: str, units: Mapping[str, float]) -> tuple[str, float, str]:
@@ -302,7 +322,7 @@ def _unit(ranges: F64, values: F64, declared: str, units: Mapping[str, float]) -
             return "ticks", TICKS / 2, in_steps
         unit = next(iter(units)) if largest < 4 * np.pi else "deg" if "deg" in units else "mm"
         return unit, 0.0, f"largest value {largest:.3g}: taken as {unit} (the model's joints have no ranges to test)"
-    read = {u: values * f for u, f in units.items() if u != "mrad"}
+    read = {u: values * f for u, f in units.items() if u == declared or u not in ("mrad", "mdeg")}
     if steps:
         read["ticks"] = (values - TICKS / 2) * 2 * np.pi / TICKS
     shares = {u: _share_within(ranges, v) for u, v in read.items()}
@@ -356,7 +376,7 @@ def _within(ranges: F64, names: Sequence[str], values: F64) -> str:
 
 def _narrow(target: Target) -> str:
     """Ranges in radians that were read as degrees, MJCF's default: no robot turns all joints by less than 13 deg."""
-    hinges = [r for n, r in zip(target.joints, target.ranges, strict=True) if target.model.joint(n).type[0] == HINGE]
+    hinges = [r for n, r in zip(target.joints, target.ranges, strict=True) if target.model.joint(n).type[0] != SLIDE]
     widths = [float(np.ptp(r)) for r in hinges if np.isfinite(r).all()]
     if not widths or max(widths) >= np.radians(4 * np.pi):
         return ""
@@ -372,9 +392,9 @@ def columns_for(e: Evidence, source: Candidate) -> tuple[list[int], list[str], s
     joints = list(e.proposal.joints)
     field = e.of(source)[1]
     home = e.proposal.assignments["joint_pos"].source
-    if source.stream == home.stream and field.width == e.of(home)[1].width:
-        return list(e.proposal.assignments["joint_pos"].columns), joints, ""  # side by side in one message
     at_ = match_joints(field.labels, joints)
+    if len(at_) < len(joints) and source.stream == home.stream and field.width == e.of(home)[1].width:
+        return list(e.proposal.assignments["joint_pos"].columns), joints, ""  # side by side in one message
     if at_:
         inverse = {j: i for i, j in at_.items()}
         names = [j for j in joints if j in inverse]
@@ -401,44 +421,40 @@ def _velocity(e: Evidence, source: Candidate, columns: list[int], names: list[st
     time, field = e.of(source)
     place = e.beside("joint_pos", time)
     assert place is not None
-    usual = source.unit if source.unit in TURNING else "rad/s"
-    factors, corrs = [], []
-    for k, column in enumerate(columns):
-        moved, sums = travelled(time, place[:, k], field.values[:, column])
-        if len(moved) and np.nanstd(moved) > 1e-3:
-            factors.append(factor(sums, moved))
-            corrs.append(alike(sums, moved))
-    if not factors:
-        evidence.append("no joint moves: nothing tests it")
-        e.settle("joint_vel", source, columns, names, evidence, scale=TURNING[usual], unit=usual, doubtful=True)
-        return True
-    ratio, corr = float(np.median(np.abs(factors))), float(np.median(np.abs(corrs)))
-    if corr < 0.6 and "joint_vel" not in e.chosen:
-        why = f"correlation {corr:.2f} with what their positions travel"
-        e.warn(f"{source.label} is no velocity of the joints: {why}")
+    found = [speed_factor(*travelled(time, place[:, k], field.values[:, c])) for k, c in enumerate(columns)]
+    kinds, moving = kinds_of(e.target, names, e.units(source, columns), TURNING, MOVING), [f for f in found if f.corr]
+    scale, units, texts = np.ones(len(columns)), list[str](), list[str]()
+    if moving and np.median([abs(f.corr) for f in moving]) < 0.6 and "joint_vel" not in e.chosen:
+        corr = np.median([abs(f.corr) for f in moving])
+        e.warn(f"{source.label} is no velocity of the joints: correlation {corr:.2f} with what their positions travel")
         return False
-    unit = nearest_unit(ratio, TURNING)
-    odd = [n for n, c in zip(names, corrs, strict=True) if abs(c) < 0.6] if len(corrs) == len(names) else []
-    close = abs(ratio * TURNING[unit] - 1) < NEAR and not odd
-    values = field.values[:, columns]
-    steps = not close and corr > SLOPE and bool((values[np.isfinite(values)] % 1 == 0).all())
-    far = max(ratio * TURNING[usual], 1 / max(ratio * TURNING[usual], 1e-9)) > NO_UNIT
-    if far and not (close or steps or "joint_vel" in e.chosen):
-        e.warn(
-            f"{source.label} is {ratio:.3g} times the positions' slope, no unit: it is left out; give its unit in the "
-            f"columns' names, or keep it: --use joint_vel={source.label}"
-        )
-        return False
-    text = f"its integral against the positions: correlation {corr:.3f}, factor {ratio:.4g}"
-    text += f" -> {unit}" if close else f" -> steps of {1 / ratio:.3g} rad/s" if steps else f", left in {usual}"
-    negated = all(f < 0 for f in factors)
-    text += ", and negated" if negated else ""
-    if odd:
-        text += f"; that of {', '.join(odd)} has nothing to do with its position: --use joint_vel=none leaves it out"
-    unit = unit if close else "steps" if steps else usual
-    scale = (1 / ratio if steps else TURNING[unit]) * (-1.0 if negated else 1.0)
-    doubtful = not (close or steps)
-    e.settle("joint_vel", source, columns, names, [*evidence, text], scale=scale, unit=unit, doubtful=doubtful)
+    for given, sizes, kind in kinds:
+        usual, known = given if given in sizes else next(iter(sizes)), [found[k] for k in kind if found[k].corr]
+        units.append(usual)
+        scale[kind] = sizes[usual]
+        if not known:
+            continue
+        ratio = float(np.median([abs(f.ratio) for f in known]))
+        corr = float(np.median([abs(f.corr) for f in known]))
+        unit, values = nearest_unit(ratio, sizes), field.values[:, [columns[k] for k in kind]]
+        close = abs(ratio * sizes[unit] - 1) < NEAR
+        steps = not close and corr > SLOPE and bool((values[np.isfinite(values)] % 1 == 0).all())
+        far = max(ratio * sizes[usual], 1 / max(ratio * sizes[usual], 1e-9)) > NO_UNIT
+        if far and not (close or steps or "joint_vel" in e.chosen):
+            e.warn(
+                f"{source.label} is {ratio:.3g} times the positions' slope, no unit: it is left out; give its unit in "
+                f"the columns' names, or keep it: --use joint_vel={source.label}"
+            )
+            return False
+        text = f"its integral against the positions: correlation {corr:.3f}, factor {ratio:.4g}"
+        text += f" -> {unit}" if close else f" -> steps of {1 / ratio:.3g} rad/s" if steps else f", left in {usual}"
+        negated = all(f.ratio < 0 for f in known)
+        texts.append(text + (", and negated" if negated else ""))
+        units[-1] = unit if close else "steps" if steps else usual
+        scale[kind] = (1 / ratio if steps else sizes[units[-1]]) * (-1.0 if negated else 1.0)
+    texts = texts or ["no joint moves: nothing tests it"]
+    unit = ", ".join(dict.fromkeys(units))
+    e.settle("joint_vel", source, columns, names, [*evidence, *texts], scale=scale, unit=unit, doubtful=not moving)
     return True
 
 
@@ -469,11 +485,17 @@ def torque(e: Evidence, *, unnamed: bool = False) -> None:
     if need is not None:
         rows, tau = need
         logged = field.values[rows][:, columns]
-        corrs = np.array([alike(logged[:, k], tau[:, k]) for k in range(len(names))])
+        whose = np.array([[alike(column, needed) for column in logged.T] for needed in tau.T])
+        corrs = np.diagonal(whose)
         factors = [f for k in range(len(names)) if np.isfinite(f := factor(logged[:, k], tau[:, k]))]
         ratio = float(np.median(factors)) if factors else np.nan
         scale, unit, text, doubtful = _torque_unit(ratio, corrs, source.unit, current)
         doubtful |= unit != (source.unit or "N m") and e.proposal.assignments["joint_pos"].doubtful
+        odd = [n for n, c in zip(names, corrs * np.sign(scale), strict=True) if c < UNLIKE]
+        if np.median(np.abs(corrs)) > 0.5 and odd:
+            text, doubtful = f"{text}; that of {', '.join(odd[:4])} is not what its motion needs", True
+        if pair([np.maximum(whose * np.sign(scale), 0.0)], range(len(names))).gain > BETTER:
+            text, doubtful = f"{text}; in another order they agree better", True
     doubtful |= source.why == AS_NEEDED
     e.settle("joint_torque", source, columns, names, [*evidence, text], scale=scale, unit=unit, doubtful=doubtful)
     e.proposal.torque_kind = "current_times_constant" if current else "measured"

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from realsim.core.types import F64
+from realsim.gap.case.units import ANGLE, TORQUE, TURNING
 from realsim.gap.recordings.vocabulary import (
     KINDS,
     SIDES,
@@ -81,10 +82,8 @@ _WORDS: tuple[tuple[str, str], ...] = (
     ("joint_pos", r"(^|_)position(_|$)"),
 )
 """Role and the English words (`vocabulary.english`) that suggest it."""
-_BY_UNIT = {"deg": "joint_pos", "rad": "joint_pos", "rev": "joint_pos", "mrad": "joint_pos", "deg/s": "joint_vel",
-            "rad/s": "joint_vel", "rpm": "joint_vel", "rev/s": "joint_vel", "N m": "joint_torque",
-            "mN m": "joint_torque", "N cm": "joint_torque", "kgf cm": "joint_torque", "A": "joint_torque",
-            "mA": "joint_torque"}  # fmt: skip
+_BY_UNIT = dict.fromkeys(ANGLE, "joint_pos") | dict.fromkeys(TURNING, "joint_vel")
+_BY_UNIT |= dict.fromkeys((*TORQUE, "A", "mA"), "joint_torque")
 """What a signal without a telling word is, by its unit."""
 RATES = (5.0, 5000.0)
 """Hz that a log of a robot is likely to have."""
@@ -99,14 +98,9 @@ def _last(kind: str) -> str:
     return kind.replace("::", "/").rsplit("/", 1)[-1].rsplit(".", 1)[-1]
 
 
-def clock_unit(name: str) -> float | None:
-    """Seconds per unit of this clock, if its name gives it."""
-    return TIMES.get(time_unit(name))
-
-
 def seconds_of(name: str, raw: F64) -> tuple[F64, str]:
     """(a clock in s, its unit): as its name says, else as gives a likely rate, s before ms, us, ns."""
-    factor = clock_unit(name)
+    factor = TIMES.get(time_unit(name))
     if factor is None:
         step = float(np.median(np.abs(np.diff(raw)))) if len(raw) > 1 else 1.0
         fits = [f for f in TIMES.values() if RATES[0] <= 1 / max(step * f, 1e-12) <= RATES[1]]
@@ -126,8 +120,8 @@ def is_other(name: str) -> bool:
 
 
 def is_electric(name: str) -> bool:
-    """Whether a name is that of a current or of a load without a unit: a torque up to an unknown factor."""
-    return "electric" in english(name) or "load" in plain(name).split("_") or unit_of(name) in ("A", "mA")
+    """Whether a name is that of a current, or of a load in no unit or in percent: a torque up to an unknown factor."""
+    return "electric" in english(name) or "load" in plain(name).split("_") or unit_of(name) in ("A", "mA", "%")
 
 
 def rawness(name: str) -> int:
@@ -157,7 +151,7 @@ def meaning(stream: str, kind: str, member: str) -> tuple[str, str, str]:
     if ending in ("data", "values", "value") or over:
         ending = member  # `position.left_knee`: what it is stands before whose it is
     found = english(ending)
-    if is_other(ending):
+    if is_other(ending) or is_other(above.rpartition(".")[2]):  # error.positions
         return "", "", ""
     text = "_".join(w for w in found if w != "target")
     role = next((r for r, pattern in _WORDS if re.search(pattern, text)), "")

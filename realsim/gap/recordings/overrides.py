@@ -9,7 +9,7 @@ import numpy as np
 from realsim.core.errors import GapError, did_you_mean
 from realsim.core.types import F64
 from realsim.gap.recordings.names import ROLES
-from realsim.gap.recordings.recording import Field, Recording, Stream
+from realsim.gap.recordings.recording import Recording, Stream, of_columns
 from realsim.gap.recordings.vocabulary import unit_of
 
 TIME = "time"
@@ -75,10 +75,8 @@ def _field(recording: Recording, role: str, name: str) -> tuple[Recording, Use]:
         )  # fmt: skip
     stream = parts[0][0]
     values = np.stack([v for _, v, _, _ in parts], axis=1)
-    labels, units = tuple(label for _, _, label, _ in parts), {unit for *_, unit in parts}
-    made = Field(
-        values, labels if len(set(labels)) == len(labels) else (), units.pop() if len(units) == 1 else "", labels
-    )
+    labels = tuple(label for _, _, label, _ in parts)
+    made = of_columns(values, labels if len(set(labels)) == len(labels) else (), [p[-1] for p in parts], labels)
     filled = replace(stream, fields={**stream.fields, name: made})
     streams = tuple(filled if s.name == stream.name else s for s in recording.streams)
     return replace(recording, streams=streams), Use(role, stream.name, name)

@@ -84,8 +84,6 @@ def _table(proposal: Proposal) -> str:
     for role in ROLES:
         if role in proposal.assignments:
             found = proposal.assignments[role]
-            signs = ["-" if s < 0 else "" for s in found.scale]
-            order = ", ".join(f"{sign}{name}" for sign, name in zip(signs, found.targets, strict=True))
             doubt = "in doubt" if found.doubtful else ""
-            rows.append([role, found.source.label, order, found.unit, doubt, "; ".join(found.evidence)])
+            rows.append([role, found.source.label, found.order, found.unit, doubt, "; ".join(found.evidence)])
     return page.table(["array", "field", "order", "unit", "", "evidence"], rows)

@@ -9,7 +9,7 @@ from scipy.optimize import linear_sum_assignment
 from realsim.core.statistics import alike
 from realsim.core.types import F64
 from realsim.gap.case.units import travelled
-from realsim.gap.recordings.signals import follows
+from realsim.gap.recordings.signals import MAX_LAG, follows
 
 BETTER = 0.1
 """Mean agreement (0 to 1.5 a joint) by which another order must be better than the given one to be preferred at all."""
@@ -19,8 +19,6 @@ ALIKE = 0.05
 """Agreement within which two columns are exchangeable: joints that were moved alike. Set on simulated arms and legs."""
 MOST = 3000
 """Samples of a run that are compared, evenly spread over it."""
-MAX_LAG = 0.3
-"""s by which joints may follow their commands."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +84,8 @@ def _margin(table: F64, chosen: F64) -> float:
 
 
 SLOPE = 0.95
-"""Correlation of what is travelled with an integral, from which one block of columns is the other's velocity."""
+"""Correlation of what is travelled with an integral, from which one block of columns is the other's velocity. Set by
+hand on made logs, not measured on others."""
 LEADS = 0.95
 """Correlation with which joints follow a block of columns that is their command."""
 MOST_SAMPLES = 4000

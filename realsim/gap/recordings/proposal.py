@@ -50,6 +50,11 @@ class Assignment:
     threshold: float | None = None
     """Contact: the force above which a foot stands."""
 
+    @property
+    def order(self) -> str:
+        """Its targets for people, with the signs."""
+        return ", ".join(f"{'-' if s < 0 else ''}{name}" for s, name in zip(self.scale, self.targets, strict=True))
+
     def values(self, field_: Field) -> F64:
         """(T, K) in the contract's order and unit."""
         found = (field_.values[:, list(self.columns)] - np.array(self.offset)) * np.array(self.scale)
@@ -129,7 +134,7 @@ class Proposal:
             doubt = "  (in doubt)" if found.doubtful else ""
             lines.append(f"  {role:<13} {found.source.label}, in {found.unit or 'its own unit'}{doubt}")
             if len(found.targets) > 1 or role in ("command", "joint_pos"):
-                lines.append(f"  {'':<13} {_order(found)}")
+                lines.append(f"  {'':<13} {found.order}")
             lines += [f"  {'':<13} - {e}" for e in found.evidence]
         if self.world is not None:
             lines.append(f"  {'scene':<13} base poses are put from the world of its capture into {self.world.scene}")
@@ -155,11 +160,6 @@ def field_of(recording: Recording, source: Candidate) -> tuple[Stream, Field] | 
     if stream is None or source.member not in stream.fields:
         return None
     return stream, stream.fields[source.member]
-
-
-def _order(found: Assignment) -> str:
-    signs = ["-" if s < 0 else "" for s in found.scale]
-    return ", ".join(f"{sign}{name}" for sign, name in zip(signs, found.targets, strict=True))
 
 
 def _fields(stream: Stream) -> str:

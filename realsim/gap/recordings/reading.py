@@ -25,7 +25,7 @@ AS_A_TABLE = "save it as .csv or .parquet with a column of time and one for each
 
 EXPORTS = {
     ".tdms": 'pip install nptdms pandas; python -c "from nptdms import TdmsFile; '
-    "TdmsFile('{path}').as_dataframe(time_index=True).to_csv('log.csv')\"",
+    "TdmsFile('{path}').as_dataframe(time_index=True).to_csv('log.csv')\""
 }
 """What makes a table of files that are not read, by their ending."""
 

@@ -35,10 +35,18 @@ class Field:
     """The unit, if the file or its message type specifies it."""
     columns: tuple[str, ...] = ()
     """Names of the table's columns that it was made of, or ()."""
+    units: tuple[str, ...] = ()
+    """Of each column, where they are not all in one."""
 
     @property
     def width(self) -> int:
         return int(self.values.shape[1])
+
+
+def of_columns(values: F64, labels: tuple[str, ...], units: Sequence[str], columns: tuple[str, ...]) -> Field:
+    """A field of columns that have a unit each."""
+    alike = len(set(units)) == 1
+    return Field(values, labels, units[0] if alike else "", columns, () if alike else tuple(units))
 
 
 @dataclass(frozen=True)
@@ -146,11 +154,7 @@ def refuse_more(path: Path, values: int) -> None:
 
 
 def no_samples(
-    path: Path,
-    what: str,
-    skipped: Mapping[str, str] | None = None,
-    window: Window = WHOLE,
-    notes: Sequence[str] = (),
+    path: Path, what: str, skipped: Mapping[str, str] | None = None, window: Window = WHOLE, notes: Sequence[str] = ()
 ) -> GapError:
     """The error for a file without anything numeric; says which topics there were."""
     there = "; ".join([*(f"{name} ({why})" for name, why in list((skipped or {}).items())[:12]), *notes[:2]])

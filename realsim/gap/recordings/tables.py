@@ -12,9 +12,10 @@ import numpy as np
 from realsim.core.errors import GapError
 from realsim.core.text_table import MAX_WIDTH, cells, odd_cell
 from realsim.core.types import F64
+from realsim.gap.case.units import UNITS
 from realsim.gap.recordings.flatten import flatten
-from realsim.gap.recordings.names import is_sent
-from realsim.gap.recordings.recording import Field, Stream
+from realsim.gap.recordings.names import JOINTS, is_sent
+from realsim.gap.recordings.recording import Field, Stream, of_columns, refuse_more
 from realsim.gap.recordings.signals import at, held
 from realsim.gap.recordings.vocabulary import KINDS, SIDES, SIGNALS, english, is_clock, plain, split_unit, time_unit
 
@@ -32,6 +33,7 @@ LEAST_CLOCK = 20
 
 def table(path: Path, name: str, columns: Mapping[str, F64]) -> Stream:
     """A stream from columns (T,) or (T, K) of one table; clocks are those named so, else the one that rises evenly."""
+    refuse_more(path, sum(v.size for v in columns.values()))
     columns = _joined_stamps(columns)
     (lone, matrix), *others = columns.items() or [("", np.zeros(0))]
     if not others and matrix.ndim == 2 and not _counts(matrix[:, 0]) and _clock_by_values({f"{lone}[0]": matrix[:, 0]}):
@@ -83,11 +85,7 @@ def on_one_clock(signals: Mapping[str, tuple[Sequence[float] | F64, Sequence[flo
 
 
 def labelled(
-    path: Path,
-    clock: Mapping[str, F64],
-    parts: Mapping[str, F64],
-    labels: Sequence[str],
-    kind: str = "table",
+    path: Path, clock: Mapping[str, F64], parts: Mapping[str, F64], labels: Sequence[str], kind: str = "table"
 ) -> Stream:
     """A stream of fields (T, K) whose columns are those joints', at one clock (T,)."""
     stream = table(path, "", {**clock, **parts})
@@ -100,22 +98,19 @@ def labelled(
     return replace(stream, type=kind, fields=named)
 
 
-def named(stream: Stream, lists: Sequence[Sequence[str]]) -> Stream:
-    """A stream whose fields without labels have those of a list of as many names that stands beside them."""
+def named(stream: Stream, lists: Sequence[Sequence[str]], *, anew: bool = False) -> Stream:
+    """A stream whose fields without labels (`anew`: all) have those of a list of as many names beside them."""
     fields = dict(stream.fields)
     for labels in (tuple(found) for found in lists if len(set(found)) == len(found) > 1):
         fields = {
-            n: replace(f, labels=labels) if not f.labels and f.width == len(labels) else f for n, f in fields.items()
+            n: replace(f, labels=labels) if (anew or not f.labels) and f.width == len(labels) else f
+            for n, f in fields.items()
         }
     return replace(stream, fields=fields)
 
 
 def streams(
-    path: Path,
-    columns: Mapping[str, F64],
-    spelled: Mapping[str, Sequence[Any]],
-    notes: list[str],
-    name: str = "",
+    path: Path, columns: Mapping[str, F64], spelled: Mapping[str, Sequence[Any]], notes: list[str], name: str = ""
 ) -> tuple[Stream, ...]:
     """The streams of a table of (R,) or (R, K) numbers, beside columns of text or of lists of words."""
     words = {
@@ -289,7 +284,7 @@ def grouped(scalars: Mapping[str, F64]) -> dict[str, Field]:
             continue
         name = stem if stem and stem not in found else " ".join(members[:2])
         values = np.stack([left.pop(m) for m in members], axis=1)
-        found[name] = Field(values, labels, split_unit(members[0])[1], tuple(members))
+        found[name] = of_columns(values, labels, [split_unit(m)[1] for m in members], tuple(members))
     return found | {n: Field(v[:, None], (), split_unit(n)[1], (n,)) for n, v in left.items()}
 
 
@@ -315,7 +310,7 @@ def _by_index(names: Mapping[str, Any]) -> _Groups:
         if match and not match["tail"].strip("._ ").isdigit():
             stems.setdefault((match["head"], match["tail"], unit), {})[int(match["index"])] = name
     groups = []
-    for (head, tail, unit), found in stems.items():
+    for (head, tail, unit), found in _across_units(stems).items():
         indices = sorted(found)
         if len(indices) >= 2 and indices == list(range(indices[0], indices[0] + len(indices))):
             labels = tuple(found[i] for i in indices)
@@ -341,9 +336,25 @@ def _by_place(names: Mapping[str, Any]) -> _Groups:
             stems.setdefault((topic, ("measured",), ""), {place: bare[topic + place] for place in found})
     return [
         (found, tuple(found), topic + _named("_".join(signal), unit))
-        for (topic, signal, unit), found in stems.items()
+        for (topic, signal, unit), found in _across_units(stems).items()
         if len(found) >= 2
     ]
+
+
+def _across_units(stems: Mapping[tuple[Any, ...], dict[Any, str]]) -> dict[tuple[Any, ...], dict[Any, str]]:
+    """Columns that only their unit keeps apart, of different joints, as one: slides in mm beside hinges in deg."""
+    together: dict[tuple[Any, ...], dict[Any, str]] = {}
+    units_of: dict[tuple[Any, ...], set[str]] = {}
+    for (*stem, unit), found in stems.items():
+        for key in [k for k in together if k[:-1] == tuple(stem) and not set(together[k]) & set(found)]:
+            units = units_of[key] | {unit}
+            if any(units <= set(UNITS[array]) for array in JOINTS):
+                mixed = (*stem, "")
+                together[mixed], units_of[mixed] = together.pop(key) | found, units
+                break
+        else:
+            together[(*stem, unit)], units_of[(*stem, unit)] = found, {unit}
+    return together
 
 
 def by_signal(name: str, field: Field) -> dict[str, Field]:

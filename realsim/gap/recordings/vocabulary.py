@@ -7,6 +7,8 @@ import re
 import unicodedata
 from functools import lru_cache
 
+from realsim.gap.case.units import TIME as TIMES
+
 _SIGNALS = {
     "time": "time zeit zeitstempel tiempo tempo czas horodatage horodate 时间 時間 時刻",
     "timestamp": "timestamp",
@@ -53,19 +55,17 @@ _SHORT = ("q",)
 """Single letters that may begin a compound: qdes."""
 _FOREIGN_SCRIPT = re.compile("|".join(sorted((w for w in _ENGLISH if not w.isascii()), key=len, reverse=True)))
 _UNITS = {
-    "deg": "deg degree degrees ° grad degre degres grados graus gradi", "rad": "rad radian radians", "mrad": "mrad",
+    "deg": "deg degree degrees ° grad degre degres grados graus gradi", "rad": "rad radian radians",
     "rev": "rev revs turn turns", "deg/s": "deg/s dps °/s degs grad/s deg_s deg_per_s deg/sec degrees/s",
     "rad/s": "rad/s rads rad_s rad_per_s rad/sec radians/s", "rpm": "rpm u/min 1/min tr/min upm min-1",
     "rev/s": "rev/s rps", "N m": "nm n_m n*m n.m n·m newtonmeter", "mN m": "mnm mn*m", "N cm": "ncm",
-    "kgf cm": "kgfcm kgf*cm kg*cm kgcm", "A": "a amp ampere amps", "mA": "ma", "mm": "mm", "m": "m", "g": "g",
+    "kgf cm": "kgfcm kgf*cm kg*cm kgcm", "A": "a amp ampere amps", "mA": "ma",
     "s": "s sec secs second seconds sekunden secondes segundos",
     "ms": "ms msec msecs milli millis millisecond milliseconds",
     "us": "us µs μs usec usecs micro micros microsecond microseconds",
     "ns": "ns nsec nsecs nano nanos nanosec nanosecond nanoseconds",
-}  # fmt: skip
+} | {unit: unit for unit in ("mrad", "mdeg", "mdeg/s", "mm", "m", "mm/s", "m/s", "g", "%")}  # fmt: skip
 _UNIT_OF = {text: unit for unit, texts in _UNITS.items() for text in texts.split()}
-TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-"""Seconds per unit of time."""
 _CLOCKS = {"time", "timestamp", "t", "stamp", "tick", "ticks", "clock", "rectime", "elapsed", "uptime", "epoch"}
 _CLOCKS |= {"times", "timestamps"} | {text for text, unit in _UNIT_OF.items() if unit in TIMES and len(text) > 2}
 _BESIDE_CLOCKS = {

@@ -367,10 +367,11 @@ def test_what_is_in_no_known_unit(arm: Log, tmp_path: Path) -> None:
         assert ("no unit" in " ".join(found.warnings)) is not kept
         if kept:
             assert found.assignments["joint_vel"].scale == pytest.approx([1 / factor] * 2, rel=0.02)
-    path = write(tmp_path / "a.csv", head + "current1,current2", arm.time, arm.pos, arm.command, arm.torque / 8)
-    found = propose(read(path), target)
-    assert found.assignments["joint_torque"].scale == pytest.approx([8, 8], rel=0.3)
-    assert (found.torque_kind, found.assignments["joint_torque"].doubtful) == ("current_times_constant", True)
+    for names in ("current1,current2", "torque1 [%],torque2 [%]"):
+        path = write(tmp_path / "a.csv", head + names, arm.time, arm.pos, arm.command, arm.torque / 8)
+        found = propose(read(path), target)
+        assert found.assignments["joint_torque"].scale == pytest.approx([8, 8], rel=0.3)
+        assert (found.torque_kind, found.assignments["joint_torque"].doubtful) == ("current_times_constant", True)
 
 
 def test_runs_one_after_the_other_are_no_joints(arm: Log, tmp_path: Path) -> None:

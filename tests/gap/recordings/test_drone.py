@@ -77,6 +77,25 @@ def test_a_firmware_that_compensates_the_voltage_commands_thrusts(
     np.testing.assert_allclose(run.streams[0].fields["motor thrust command"].values, law)
 
 
+def test_a_table_of_the_plain_names(tmp_path: Path) -> None:
+    """Axes of a state, and columns that name the actuators; how much a motor's PWM pushes is in doubt."""
+    (tmp_path / "drone.xml").write_text(DRONE)
+    flown = log(tmp_path / "log00")
+    names = ["time", *(f"stateEstimate.{n}" for n in "xyz"), *(f"stateEstimate.q{n}" for n in "xyzw")]
+    quat = np.stack([0 * flown["time"], np.sin(0.1 * flown["time"]), 0 * flown["time"], np.cos(0.1 * flown["time"])], 1)
+    table = np.column_stack([flown["time"], flown["state"][:, :3], quat, flown["pwm"]])
+    for motor in ("m{}", "motor.m{}"):
+        header = ",".join([*names, *(motor.format(k) for k in range(1, 5))])
+        np.savetxt(tmp_path / "flight.csv", table, delimiter=",", header=header, comments="")
+        found = propose(read(tmp_path / "flight.csv"), load_target(tmp_path / "drone.xml"))
+        assert found.complete, found.render()
+        assert found.assignments["command"].doubtful
+        arrays = run_arrays(found, found.recordings[0]).arrays
+        np.testing.assert_allclose(arrays["base_pos"], flown["state"][:, :3])
+        np.testing.assert_allclose(arrays["base_quat"], quat[:, [3, 0, 1, 2]], atol=1e-9)
+        np.testing.assert_allclose(arrays["command"], flown["pwm"])
+
+
 def test_a_log_that_is_cut_off_or_damaged(tmp_path: Path) -> None:
     log(tmp_path / "log00")
     data = (tmp_path / "log00").read_bytes()
@@ -95,7 +114,7 @@ def test_real_flights(shared: Callable[[str], Path]) -> None:
     (run,) = read(shared("real_logs") / "crazypad" / "add_weight_W3_near_M3" / "E9_log00")
     made = np.load(shared("cases") / "logs" / "cf_W3_M3" / "runs" / "E9_log00_00.npz")
     fields = run.streams[0].fields
-    first = int(np.argmin(np.abs(fields["base_pos"].values - made["base_pos"][0]).sum(axis=1)))
+    first = int(np.argmin(np.abs(fields["stateEstimate"].values - made["base_pos"][0]).sum(axis=1)))
     rows = slice(first, first + len(made["time"]))
     commanded = fields["motor thrust command"].values[rows] / crazyflie.COMPENSATED[1]
     np.testing.assert_allclose(np.polyval(crazyflie.THRUST, commanded), made["command"], atol=1e-9)

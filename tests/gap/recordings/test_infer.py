@@ -13,9 +13,9 @@ from realsim.core.text_table import cells
 from realsim.gap.recordings import Window, load_target, propose, read, write_case
 from realsim.gap.recordings.arrays import run_arrays
 from realsim.gap.recordings.clocks import clocked, declared_rate
-from realsim.gap.recordings.names import clock_unit, match_joints, meaning
+from realsim.gap.recordings.names import match_joints, meaning
 from realsim.gap.recordings.recording import Field, Recording, Stream
-from realsim.gap.recordings.vocabulary import is_clock
+from realsim.gap.recordings.vocabulary import TIMES, is_clock, time_unit
 
 from .robots import ARM, PLACES, QUADRUPED, STAND, Log, save
 
@@ -338,7 +338,7 @@ def test_what_names_mean(name: str, role: str) -> None:
 )
 def test_clocks_by_name(name: str, unit: float | None) -> None:
     assert is_clock(name)
-    assert clock_unit(name) == unit
+    assert TIMES.get(time_unit(name)) == unit
     assert not is_clock("target")
 
 

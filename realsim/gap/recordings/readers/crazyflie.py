@@ -110,7 +110,7 @@ def _samples(
 
 
 def _derived(columns: dict[str, F64]) -> dict[str, Field]:
-    """Thrusts of the motors, place and attitude of the drone, in SI units, from variables of the firmware."""
+    """Thrusts of the motors and attitude of the drone, in SI units, from variables of the firmware."""
     found = {}
     motors = [f"motor.m{k}" for k in range(1, 5)]
     if all(m in columns for m in motors):
@@ -119,9 +119,6 @@ def _derived(columns: dict[str, F64]) -> dict[str, Field]:
         law = THRUST if np.array_equal(made, pwm) else COMPENSATED
         thrust = law[0] * pwm**2 + law[1] * pwm + law[2]
         found["motor thrust command"] = Field(thrust, ("m1", "m2", "m3", "m4"), "N")
-    place = [f"stateEstimate.{a}" for a in "xyz"]
-    if all(p in columns for p in place):
-        found["base_pos"] = Field(np.stack([columns[p] for p in place], axis=1), tuple("xyz"), "m")
     if (quat := _attitude(columns)) is not None:
         found["base_quat"] = Field(quat, tuple("wxyz"))
     return found

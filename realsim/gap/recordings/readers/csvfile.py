@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,7 @@ from realsim.core.errors import GapError
 from realsim.core.text_table import FEW, TextTable, begin, first_lines, read_text_table
 from realsim.core.types import F64
 from realsim.gap.recordings.recording import Reader, Recording, Stream, no_samples, refuse_more
-from realsim.gap.recordings.tables import labelled, on_one_clock, streams
+from realsim.gap.recordings.tables import labelled, named, on_one_clock, streams
 from realsim.gap.recordings.vocabulary import plain, split_unit
 
 _TAG = re.compile(r'[\w.]+\s*[=:]\s*"?([^",}]+)')
@@ -66,9 +65,7 @@ def _called(stream: Stream, words: Mapping[str, Sequence[str]]) -> Stream:
     for name, cells_of in words.items():
         if len(set(cells_of)) == 1 and "name" in plain(name.rstrip("0123456789[]._")).split("_")[-1]:
             lists.setdefault(name.rstrip("0123456789[]._"), []).append(cells_of[0])
-    names = next((tuple(n) for n in lists.values() if len(set(n)) == len(n) > 1), ())
-    fields = {n: replace(f, labels=names) if names and f.width == len(names) else f for n, f in stream.fields.items()}
-    return replace(stream, fields=fields)
+    return named(stream, list(lists.values()), anew=True)
 
 
 def _echoed(path: Path, found: TextTable) -> Stream | None:

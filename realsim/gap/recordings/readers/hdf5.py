@@ -15,15 +15,7 @@ from realsim.core.errors import GapError, extra
 from realsim.core.files import check_size
 from realsim.core.text_table import MAX_WIDTH
 from realsim.core.types import F64
-from realsim.gap.recordings.recording import (
-    Reader,
-    Recording,
-    facts_of,
-    has_suffix,
-    no_samples,
-    readable,
-    refuse_more,
-)
+from realsim.gap.recordings.recording import Reader, Recording, facts_of, has_suffix, no_samples, readable, refuse_more
 from realsim.gap.recordings.tables import as_long_as_most, named, table
 
 MAX_DATASETS = 10_000
@@ -46,11 +38,7 @@ def read(path: Path) -> list[Recording]:
         shapes = {n: str(d.shape) for n, d in list(datasets.items())[:12]}
     found = [
         Recording(
-            path,
-            f"{path.stem}_{run}" if run else path.stem,
-            "hdf5",
-            (named(table(path, "", c), lists),),
-            facts=facts,
+            path, f"{path.stem}_{run}" if run else path.stem, "hdf5", (named(table(path, "", c), lists),), facts=facts
         )
         for run, c in columns.items()
         if c

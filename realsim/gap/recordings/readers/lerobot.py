@@ -13,15 +13,7 @@ from realsim.core.errors import GapError
 from realsim.core.files import read_json
 from realsim.core.types import F64
 from realsim.gap.recordings.readers.parquet import columns_of
-from realsim.gap.recordings.recording import (
-    Field,
-    Reader,
-    Recording,
-    Stream,
-    no_samples,
-    readable,
-    refuse_more,
-)
+from realsim.gap.recordings.recording import Field, Reader, Recording, Stream, no_samples, readable, refuse_more
 from realsim.gap.recordings.tables import by_signal
 
 INDICES = ("timestamp", "episode_index", "frame_index", "index", "task_index")

@@ -13,7 +13,7 @@ from realsim.core.errors import GapError
 from realsim.core.files import MAX_BINARY_BYTES, check_size
 from realsim.gap.recordings.flatten import flatten
 from realsim.gap.recordings.readers import hdf5
-from realsim.gap.recordings.recording import Reader, Recording, facts_of, has_suffix, readable, refuse_more
+from realsim.gap.recordings.recording import Reader, Recording, facts_of, has_suffix, readable
 from realsim.gap.recordings.tables import as_long_as_most, table
 
 COMPRESSED = 15
@@ -41,7 +41,6 @@ def read(path: Path) -> list[Recording]:
         hint = "objects such as timeseries need MATLAB: t = ts.Time; q = ts.Data; save('log.mat', 't', 'q')"
         shapes = "; ".join(f"{n} {v.shape}" for n, v in list(found.items())[:12]) or "nothing"
         raise GapError("no arrays with a row a sample", file=path, found=shapes, hint=hint)
-    refuse_more(path, sum(v.size for v in columns.values()))
     return [Recording(path, path.stem, "matlab", (table(path, "", columns),), facts=facts_of(value))]
 
 

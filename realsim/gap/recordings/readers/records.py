@@ -11,15 +11,7 @@ from typing import Any
 
 from realsim.core.errors import GapError
 from realsim.core.files import check_size, read_json
-from realsim.gap.recordings.recording import (
-    Reader,
-    Recording,
-    Stream,
-    facts_of,
-    first_line,
-    no_samples,
-    refuse_more,
-)
+from realsim.gap.recordings.recording import Reader, Recording, Stream, facts_of, first_line, no_samples
 from realsim.gap.recordings.records import LEAST, Tagged, parser_of
 from realsim.gap.recordings.tables import LEAST_CLOCK, rows, streams, table
 from realsim.gap.recordings.vocabulary import KINDS, SIDES, english
@@ -57,7 +49,6 @@ def read(path: Path) -> list[Recording]:
         facts = facts_of(found) if isinstance(found, dict) else {}
         if runs := _runs(found):
             signals = {name: rows(path, _rows(run), notes) for name, run in runs.items()}
-            refuse_more(path, sum(v.size for found in signals.values() for v in found.values()))
             return [
                 Recording(path, f"{path.stem}_{name}", "records", (table(path, "", found),),
                           notes=tuple(notes), facts=facts)
@@ -72,7 +63,6 @@ def read(path: Path) -> list[Recording]:
         spelled: dict[str, list[Any]] = {}
         columns = rows(path, part, notes, spelled)
         if columns:
-            refuse_more(path, sum(v.size for v in columns.values()))
             made += streams(path, columns, spelled, notes, topic)
     if not made:
         raise no_samples(path, "objects with numbers or lists of numbers", notes=notes)

@@ -105,9 +105,7 @@ def _names(batch: Any) -> tuple[str, ...]:
 
 
 def _streams(
-    parts: dict[tuple[str, str], list[tuple[F64, F64]]],
-    labels: dict[str, tuple[str, ...]],
-    skipped: dict[str, str],
+    parts: dict[tuple[str, str], list[tuple[F64, F64]]], labels: dict[str, tuple[str, ...]], skipped: dict[str, str]
 ) -> tuple[Stream, ...]:
     """Components that were logged at the same moments are one stream."""
     together: dict[tuple[str, bytes], tuple[F64, dict[str, F64]]] = {}

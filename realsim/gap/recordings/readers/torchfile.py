@@ -9,7 +9,7 @@ import numpy as np
 
 from realsim.core.errors import GapError, extra
 from realsim.core.files import archive_damage, check_size
-from realsim.gap.recordings.recording import Reader, Recording, has_suffix, no_samples, readable, refuse_more
+from realsim.gap.recordings.recording import Reader, Recording, has_suffix, no_samples, readable
 from realsim.gap.recordings.tables import as_long_as_most, table
 
 
@@ -26,7 +26,6 @@ def read(path: Path) -> list[Recording]:
     columns = as_long_as_most(arrays)
     if not columns:
         raise no_samples(path, "tensors with a row a sample", {n: str(v.shape) for n, v in arrays.items()})
-    refuse_more(path, sum(v.size for v in columns.values()))
     return [Recording(path, path.stem, "torch", (table(path, "", columns),))]
 
 

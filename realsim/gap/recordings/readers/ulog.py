@@ -6,14 +6,7 @@ import numpy as np
 
 from realsim.core.errors import extra
 from realsim.core.files import check_size
-from realsim.gap.recordings.recording import (
-    Reader,
-    Recording,
-    Stream,
-    first_line,
-    no_samples,
-    readable,
-)
+from realsim.gap.recordings.recording import Reader, Recording, Stream, first_line, no_samples, readable
 from realsim.gap.recordings.tables import grouped
 
 MAX_BYTES = 2**30
