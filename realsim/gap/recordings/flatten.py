@@ -26,17 +26,17 @@ def flatten(part: Any, place: str = "") -> dict[str, Any]:
         )
         items = list(value) if listed and 0 < len(value) <= MAX_WIDTH else []
         if is_part(value):
-            stamp = seconds(value)
-            found |= flatten(value, full) if stamp is None else {full: stamp}
+            inner = flatten(value, full)
+            found |= inner if (moment := _moment(inner)) is None else {full: moment}
         elif items and all(map(is_part, items)):
-            found |= {f"{full}.{inner}".strip("."): v for inner, v in _of_parts([flatten(i) for i in items]).items()}
+            found |= {f"{full}.{n}".strip("."): v for n, v in _of_parts([flatten(i) for i in items]).items()}
         else:
             found[full] = value
     return found
 
 
 def _of_parts(parts: list[dict[str, Any]]) -> dict[str, Any]:
-    names = [next((str(p[key]) for key in NAMED if p.get(key)), "") for p in parts]
+    names = [next((str(p[key]) for key in NAMED if isinstance(p.get(key), (str, int)) and p[key]), "") for p in parts]
     deep = len(parts) == 1 or any(isinstance(v, (list, tuple, np.ndarray)) for v in parts[0].values())
     if not (all(names) and len(set(names)) == len(names)):
         if not deep:
@@ -58,9 +58,9 @@ def is_part(value: Any) -> bool:
     return isinstance(value, Mapping) or hasattr(value, "__dict__") or hasattr(value, "__slots__")
 
 
-def seconds(part: Any) -> float | None:
-    """s of a time of ROS, in seconds and nanoseconds; None for any other part."""
-    found = dict(members(part))
-    whole, rest = (next((found[n] for n in names if n in found), None) for names in (SECONDS, NANOSECONDS))
-    good = isinstance(whole, (int, np.integer)) and isinstance(rest, (int, np.integer)) and len(found) == 2
-    return float(whole) + 1e-9 * float(rest) if good else None  # type: ignore[arg-type]
+def _moment(values: dict[str, Any]) -> float | None:
+    """s of a moment of ROS, seconds and nanoseconds; None of other values."""
+    if [type(v) for v in values.values()] != [int, int]:
+        return None
+    (first, whole), (second, rest) = ((n.rpartition(".")[2], v) for n, v in values.items())
+    return whole + 1e-9 * rest if first in SECONDS and second in NANOSECONDS else None

@@ -15,7 +15,7 @@ import numpy as np
 
 from realsim.core.text_table import MAX_WIDTH
 from realsim.core.types import F64
-from realsim.gap.recordings.flatten import flatten, seconds
+from realsim.gap.recordings.flatten import flatten
 from realsim.gap.recordings.recording import Field, Stream, refuse_more
 from realsim.gap.recordings.tables import grouped
 from realsim.gap.recordings.vocabulary import is_clock
@@ -155,7 +155,7 @@ def unfold(kind: str, message: Any) -> list[tuple[float, Any]]:
     if last == "JointTrajectory":
         head = {"header": message.header, "joint_names": message.joint_names}
         return [
-            (seconds(p.time_from_start) or 0.0, head | {"positions": p.positions, "velocities": p.velocities})
+            (flatten({"s": p.time_from_start})["s"], head | {"positions": p.positions, "velocities": p.velocities})
             for p in message.points[:MAX_WIDTH]
         ]
     if last == "DynamicJointState":
