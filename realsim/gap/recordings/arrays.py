@@ -80,11 +80,9 @@ def run_arrays(proposal: Proposal, recording: Recording) -> RunArrays:
             arrays[role] = _commanded(time, values, kind, rows)
         elif role == "enabled":
             arrays[role] = np.nan_to_num(held(time, values, rows), nan=1.0)
-        elif role == "contact":
+        elif role in ("contact", "policy_command"):
             arrays[role] = held(time, values, rows)
-        elif role == "policy_command":
-            arrays[role] = held(time, values, rows)
-            if not np.isfinite(arrays[role]).all():
+            if role == "policy_command" and not np.isfinite(arrays[role]).all():
                 notes.append("policy_command is missing in some rows: the velocity command of this run is estimated")
         elif role in ("joint_pos", "joint_vel", "joint_torque"):
             arrays[role] = np.where(own[:, None], at(time, values, rows), np.nan)

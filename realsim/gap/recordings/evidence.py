@@ -4,12 +4,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from os.path import commonpath
 from pathlib import Path
-from shlex import quote
 from typing import Any
 
 import numpy as np
 
-from realsim.core.errors import GapError
 from realsim.core.statistics import alike
 from realsim.core.types import F64
 from realsim.gap.recordings.clocks import Clocked, clocked, increasing
@@ -146,14 +144,3 @@ class Evidence:
         found = [alike(fa.values[:MOST, k], other[:, k]) for k in range(fa.width)]
         moving = [f for f, k in zip(found, range(fa.width), strict=True) if np.nanstd(fa.values[:, k]) > 1e-3]
         return not moving or float(np.median(moving)) > SAME or not np.isfinite(other).any()
-
-
-def two_robots(recording: Recording, a: Candidate, b: Candidate) -> GapError:
-    """The error for a recording of two robots."""
-    return GapError(
-        "two robots are in the recording",
-        file=recording.path,
-        expected="joints of one robot",
-        found=f"{a.label} and {b.label} name the same joints and disagree",
-        hint=f"choose one: realsim log {quote(str(recording.path))} --only {a.stream.rsplit('/', 1)[0] or a.stream}",
-    )

@@ -3,10 +3,12 @@
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from shlex import quote
 from typing import Any
 
 import numpy as np
 
+from realsim.core.errors import GapError
 from realsim.core.statistics import alike
 from realsim.core.types import F64
 from realsim.gap.case.units import (
@@ -21,7 +23,7 @@ from realsim.gap.case.units import (
     speed_factor,
     travelled,
 )
-from realsim.gap.recordings.evidence import SAME, Evidence, two_robots
+from realsim.gap.recordings.evidence import SAME, Evidence
 from realsim.gap.recordings.model import ALPHABETICAL, MODELS_ORDER, Target
 from realsim.gap.recordings.names import is_electric, is_other, known_type, match_joints, rawness
 from realsim.gap.recordings.pairing import ALIKE, BETTER, PLAIN, SLOPE, agreement, pair
@@ -141,7 +143,12 @@ def _best_positions(e: Evidence, found: Sequence[Candidate]) -> Candidate | None
         if other.stream != first.stream and e.stream(other).type == e.stream(first).type:
             labels = e.of(first)[1].labels, e.of(other)[1].labels
             if labels[0] == labels[1] and not e.same_robot(first, other):
-                raise two_robots(e.recording, first, other)
+                place = first.stream.rsplit("/", 1)[0] or first.stream
+                raise GapError(
+                    "two robots are in the recording", file=e.recording.path, expected="joints of one robot",
+                    found=f"{first.label} and {other.label} name the same joints and disagree",
+                    hint=f"choose one: realsim log {quote(str(e.recording.path))} --only {place}",
+                )  # fmt: skip
     return first
 
 

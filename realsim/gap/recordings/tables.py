@@ -15,7 +15,7 @@ from realsim.core.types import F64
 from realsim.gap.case.units import UNITS
 from realsim.gap.recordings.flatten import flatten
 from realsim.gap.recordings.names import JOINTS, is_sent
-from realsim.gap.recordings.recording import Field, Stream, of_columns, refuse_more
+from realsim.gap.recordings.recording import Field, Stream, no_samples, of_columns, refuse_more
 from realsim.gap.recordings.signals import at, held
 from realsim.gap.recordings.vocabulary import KINDS, SIDES, SIGNALS, english, is_clock, plain, split_unit, time_unit
 
@@ -209,6 +209,18 @@ def as_long_as_most(arrays: Mapping[str, F64]) -> dict[str, F64]:
     depths = range(min(map(len, parts), default=1) - 1)
     shared = next((k for k in depths if len({p[k] for p in parts}) > 1), len(depths))
     return {".".join(p[shared:]): v for p, v in zip(parts, columns.values(), strict=True)}
+
+
+def of_arrays(path: Path, arrays: Mapping[str, F64]) -> Stream:
+    """The stream of a file of arrays by their names.
+
+    Raises:
+        GapError: none has a row a sample.
+    """
+    columns = as_long_as_most(arrays)
+    if not columns:
+        raise no_samples(path, "arrays with a row a sample", {n: str(v.shape) for n, v in arrays.items()})
+    return table(path, "", columns)
 
 
 def rises_evenly(values: F64) -> bool:

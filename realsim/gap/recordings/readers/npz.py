@@ -8,8 +8,8 @@ import numpy as np
 
 from realsim.core.files import read_npz
 from realsim.core.types import F64
-from realsim.gap.recordings.recording import Reader, Recording, facts_of, has_suffix, no_samples
-from realsim.gap.recordings.tables import as_long_as_most, named, table
+from realsim.gap.recordings.recording import Reader, Recording, facts_of, has_suffix
+from realsim.gap.recordings.tables import named, of_arrays
 
 MAX_ROBOTS = 12
 """Robots of one dump that are read, each as a run: those of a simulator are alike, and a search takes few runs."""
@@ -43,10 +43,7 @@ def _worlds(numbers: dict[str, F64]) -> list[dict[str, F64]]:
 
 
 def _recording(path: Path, numbers: dict[str, F64], texts: dict[str, Any], facts: dict[str, Any]) -> Recording:
-    columns = _table(numbers, texts) or as_long_as_most(numbers)
-    if not columns:
-        raise no_samples(path, "arrays with a row a sample", {n: str(v.shape) for n, v in numbers.items()})
-    stream = table(path, "", columns)
+    stream = of_arrays(path, _table(numbers, texts) or numbers)
     stream = named(stream, [tuple(map(str, v)) for v in texts.values() if v.ndim == 1])
     return Recording(path, path.stem, "npz", (stream,), facts=facts)
 

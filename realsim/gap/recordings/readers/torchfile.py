@@ -10,7 +10,7 @@ import numpy as np
 from realsim.core.errors import GapError, extra
 from realsim.core.files import archive_damage, check_size
 from realsim.gap.recordings.recording import Reader, Recording, has_suffix, no_samples, readable
-from realsim.gap.recordings.tables import as_long_as_most, table
+from realsim.gap.recordings.tables import of_arrays
 
 
 def read(path: Path) -> list[Recording]:
@@ -23,10 +23,7 @@ def read(path: Path) -> list[Recording]:
     if not isinstance(value, dict):
         raise no_samples(path, "a dictionary of tensors")
     arrays = {str(k): np.asarray(v, dtype=np.float64) for k, v in value.items() if torch.is_tensor(v)}
-    columns = as_long_as_most(arrays)
-    if not columns:
-        raise no_samples(path, "tensors with a row a sample", {n: str(v.shape) for n, v in arrays.items()})
-    return [Recording(path, path.stem, "torch", (table(path, "", columns),))]
+    return [Recording(path, path.stem, "torch", (of_arrays(path, arrays),))]
 
 
 READER = Reader("torch", "a .pt file with a dictionary of tensors", has_suffix(".pt", ".pth"), read)
