@@ -15,7 +15,7 @@ from realsim.gap.answer.diagnosis import Diagnosis
 from realsim.gap.answer.leaveout import better, discrepancy, leave_out
 from realsim.gap.inference.causes.fit import Cause, Fit, Fitter
 from realsim.gap.inference.causes.fitted import leftover
-from realsim.gap.inference.causes.score import least_gain
+from realsim.gap.inference.causes.score import gained, least_gain
 from realsim.gap.inference.causes.select import Selection
 from realsim.gap.inference.likelihood.comparison import Comparison
 from realsim.gap.inference.likelihood.screen import Screen
@@ -133,7 +133,7 @@ def test_values_are_fitted_anew_without_each_run(fitter: Fitter) -> None:
     assert len(set(left.values[:, 0])) == 3
     assert left.values[:, 0] == pytest.approx(fit.causes[0].values[0], rel=0.1)
     assert left.after.mean() < 2.0
-    gain, error = left.gained_over(leave_out(fitter, fitter.nominal()))
+    gain, error = gained(leave_out(fitter, fitter.nominal()).after, left.after)
     assert gain > 3.0 > error
 
 

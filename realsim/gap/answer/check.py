@@ -4,7 +4,7 @@ One definition everywhere (sentence, page, JSON): `before` is the nominal simula
 the patch changes it. Everyday deviations are in neither; they only decide how much of the rest is worth explaining.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -143,8 +143,11 @@ def _gone(
     x: Sequence[F64], y: Sequence[F64], comparison: Comparison, runs: Sequence[int], resamples: int, seed: int
 ) -> tuple[float, float]:
     """90 percent interval of the share of x's squared error that is not in y, by a bootstrap over blocks."""
-    before, after = (resampled(_blocks(comparison, r, runs), resamples, seed).sum(axis=1) for r in (x, y))
-    low, high = interval90(1 - after / np.maximum(before, 1e-12))
+    drawn = []
+    for rs in (x, y):
+        squares = (np.nansum(r**2 / comparison.floor(i), axis=1) for i, r in zip(runs, rs, strict=True))
+        drawn.append(resampled(in_blocks(comparison, squares), resamples, seed).sum(axis=1))
+    low, high = interval90(1 - drawn[1] / np.maximum(drawn[0], 1e-12))
     return float(low), float(high)
 
 
@@ -184,14 +187,10 @@ def mean_square(comparison: Comparison, residuals: Sequence[F64], runs: Sequence
     return total / max(count, 1)
 
 
-def _blocks(comparison: Comparison, residuals: Sequence[F64], runs: Sequence[int]) -> F64:
-    """(N,) sums of squares in units of the floor over blocks of half a second."""
+def in_blocks(comparison: Comparison, rows: Iterable[F64]) -> F64:
+    """(N,) sums over blocks of half a second of (B,) a run."""
     width = max(int(BLOCK_SECONDS / comparison.config.bin_seconds), 1)
-    found = []
-    for run, r in zip(runs, residuals, strict=True):
-        row = np.nansum(r**2 / comparison.floor(run), axis=1)
-        found.append(np.add.reduceat(row, np.arange(0, len(row), width)))
-    return np.concatenate(found)
+    return np.concatenate([np.add.reduceat(row, np.arange(0, len(row), width)) for row in rows])
 
 
 def _signals(

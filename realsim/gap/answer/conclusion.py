@@ -32,8 +32,9 @@ from realsim.gap.inference.causes.fitted import (
     leftover,
     nuisance_settings,
     values_of,
+    with_errors,
 )
-from realsim.gap.inference.causes.score import score
+from realsim.gap.inference.causes.score import gained, holds, score
 from realsim.gap.inference.causes.select import Selection
 from realsim.gap.inference.causes.starts import contains, suggested
 from realsim.gap.inference.evidence.onsets import find_onsets
@@ -169,36 +170,28 @@ def _lasting(fitter: Fitter, selection: Selection, notes: list[str]) -> tuple[Fi
     viscous friction) are hardly needed beside each other, and the larger one is the cause. Where it is a law that holds
     a plainer one as a special case, that one stays if it is needed."""
     fit, dropped = selection.fit, list[Cause]()
-    while fit.causes:
-        left = leave_out(fitter, fit)
-        if len(fitter.screen.runs) < 2 or len(fit.causes) == 1:
-            return fit, left, dropped
-        weakest: tuple[float, Fit, LeftOut, Cause] | None = None
-        for i, cause in enumerate(fit.causes):
-            less = fitter.fit([c for j, c in enumerate(fit.causes) if j != i])
-            if less is None:
-                continue
-            without = leave_out(fitter, less)
-            if not _needed(left, without) and (weakest is None or less.misfit < weakest[0]):
-                weakest = (less.misfit, less, without, cause)
-        if weakest is None:
-            return fit, left, dropped
-        _, fit, without, cause = weakest
+    left = leave_out(fitter, fit) if fit.causes else None
+    while left is not None and len(fit.causes) > 1 and len(fitter.screen.runs) > 1:
+        each = [(fitter.fit([c for c in fit.causes if c is not cause]), cause) for cause in fit.causes]
+        found = [(less, leave_out(fitter, less), cause) for less, cause in each if less is not None]
+        spare = [one for one in found if not _needed(left, one[1])]
+        if not spare:
+            break
+        fit, left, cause = min(spare, key=lambda one: one[0].misfit)
         if plain := _plainer(selection.trials, cause):
             other = fitter.fit([*fit.causes, plain])
-            if other is not None and _needed(leave_out(fitter, other), without):
+            if other is not None and _needed(beside := leave_out(fitter, other), left):
                 notes.append(f"{_name(plain)} takes the place of {_name(cause)}: left-out runs need no more")
-                fit = other
+                fit, left = other, beside
                 continue
         notes.append(f"{_name(cause)} was taken out again: left-out runs do not need it")
         dropped.append(cause)
-    return fit, None, dropped
+    return fit, left, dropped
 
 
 def _needed(fit: LeftOut, less: LeftOut) -> bool:
     """Whether left-out runs need what one set has and the other has not."""
-    gain, error = fit.gained_over(less)
-    return gain > max(figures.HOLDS * error, figures.LEAST)
+    return holds(gained(less.after, fit.after), figures.LEAST)
 
 
 def _plainer(trials: Sequence[Trial], cause: Cause) -> Cause | None:
@@ -233,7 +226,7 @@ def beside_imitations(
                 )
                 fit, left = rival, theirs
                 break
-            beside, by = left.gained_over(theirs)
+            beside, by = gained(theirs.after, left.after)
             if gain <= Z90 * error or beside <= Z90 * by:  # what differs may be an everyday deviation
                 others.append(rival)
     return fit, left, others
@@ -311,11 +304,8 @@ def _fitted(screen: Screen, fit: Fit, nothing: Fit, nominal: Sequence[F64]) -> F
 
 def _told_from_none(fit: Fit, sigmas: F64) -> list[bool]:
     """Of each cause, whether the 90 percent interval of some strength leaves out zero, where nothing is changed."""
-    found, spread = [], iter(sigmas)
-    for cause in fit.causes:
-        rows = list(zip(cause.candidate.parameters, cause.values, spread, strict=False))
-        found.append(any(p.strength and abs(value) > Z90 * sigma for p, value, sigma in rows))
-    return found
+    rows = [zip(c.candidate.parameters, c.values, own, strict=True) for c, own in with_errors(fit, sigmas)]
+    return [any(p.strength and abs(value) > Z90 * sigma for p, value, sigma in row) for row in rows]
 
 
 # ---------------------------------------------------------------- on the runs of the check

@@ -15,7 +15,7 @@ from realsim.gap.answer.arrays import Arrays
 from realsim.gap.effects import EFFECTS
 from realsim.gap.effects.lookup import PLACES, lookup
 from realsim.gap.inference.causes.fit import Cause, Fit
-from realsim.gap.inference.causes.fitted import Trial
+from realsim.gap.inference.causes.fitted import Trial, with_errors
 from realsim.gap.inference.causes.select import Selection
 from realsim.gap.inference.likelihood.screen import Screen
 from realsim.gap.verdicts import GapVerdict
@@ -123,12 +123,9 @@ def describe_cause(cause: Cause, sigmas: F64, onsets: Mapping[str, float]) -> di
 
 
 def describe_set(fit: Fit, order: list[int] | None = None, sigmas: F64 | None = None) -> list[dict[str, Any]]:
-    """All causes of a fit, in `order`; `sigmas`: (m,) of all values, the fit's own if None."""
-    sigmas = fit.sigmas if sigmas is None else sigmas
-    starts = np.cumsum([0, *(len(c.values) for c in fit.causes)])
-    chosen = range(len(fit.causes)) if order is None else order
-    onsets = fit.conditions.onsets
-    return [describe_cause(fit.causes[i], sigmas[starts[i] : starts[i + 1]], onsets) for i in chosen]
+    """All causes of a fit, in `order`; `sigmas`: see `with_errors`."""
+    rows = with_errors(fit, sigmas)
+    return [describe_cause(*rows[i], fit.conditions.onsets) for i in (range(len(rows)) if order is None else order)]
 
 
 def ranked_effects(selection: Selection, screen: Screen) -> list[dict[str, Any]]:

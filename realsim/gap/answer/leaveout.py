@@ -4,8 +4,6 @@ What a fit leaves on the runs that it was fitted to tells how wrong the model st
 channel. It takes the place of an assumed one where values get their intervals and where two sets are compared.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -13,7 +11,7 @@ import numpy as np
 
 from realsim.core.statistics import resampled
 from realsim.core.types import F64
-from realsim.gap.answer.check import BLOCK_SECONDS, errors, mean_square
+from realsim.gap.answer.check import errors, in_blocks, mean_square
 from realsim.gap.inference.causes.fit import Fitter
 from realsim.gap.inference.causes.fitted import Fit, rests, values_of
 from realsim.gap.inference.likelihood.comparison import CORRELATION, Comparison
@@ -31,15 +29,6 @@ class LeftOut:
     """(K, m) the values of all causes in a row."""
     sigmas: F64
     """(m,) standard errors under the discrepancy that the fit leaves, or by the jackknife, whichever is larger."""
-
-    def gained_over(self, other: LeftOut) -> tuple[float, float]:
-        """(mean, standard error) over runs of the logarithm of the ratio of errors: one run that diverges counts once.
-
-        Both beside everyday deviations: without them, what they do to the motion may be far more than a cause's share.
-        """
-        ratios = np.log(np.maximum(other.after, 1e-9) / np.maximum(self.after, 1e-9))
-        error = float(ratios.std(ddof=1) / np.sqrt(len(ratios))) if len(ratios) > 1 else 0.0
-        return float(ratios.mean()), error
 
 
 def leave_out(fitter: Fitter, fit: Fit) -> LeftOut:
@@ -73,12 +62,11 @@ def better(
 ) -> tuple[float, float]:
     """(mean, standard error) of what `ours` leaves less than `theirs`, over blocks, in units of its own discrepancy."""
     rest = discrepancy(comparison, runs, ours)
-    width = max(int(BLOCK_SECONDS / comparison.config.bin_seconds), 1)
-    sums = []
-    for run, a, b in zip(runs, ours, theirs, strict=True):
-        row = np.nansum((b**2 - a**2) / (comparison.floor(run) + rest**2), axis=1) / CORRELATION
-        sums.append(np.add.reduceat(row, np.arange(0, len(row), width)))
-    values = np.concatenate(sums)
+    rows = (
+        np.nansum((b**2 - a**2) / (comparison.floor(run) + rest**2), axis=1) / CORRELATION
+        for run, a, b in zip(runs, ours, theirs, strict=True)
+    )
+    values = in_blocks(comparison, rows)
     return float(values.mean()), float(resampled(values, 400, 0).mean(axis=1).std())
 
 

@@ -5,7 +5,7 @@ the later log has: about those of both, r = G x + [later] G d + [later] H c + e,
 small ones d that come from day to day, and a change c of one effect at one place.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -26,7 +26,7 @@ from realsim.gap.effects import EFFECTS
 from realsim.gap.effects.base import Parameter
 from realsim.gap.effects.lookup import PLACES, SINCE, lookup, places_of
 from realsim.gap.inference.causes.fit import Fitter
-from realsim.gap.inference.causes.fitted import Cause, Fit, imitates, is_gap, leftover
+from realsim.gap.inference.causes.fitted import Cause, Fit, imitates, is_gap, leftover, with_errors
 from realsim.gap.inference.causes.select import select
 from realsim.gap.inference.likelihood.comparison import Comparison
 from realsim.gap.inference.likelihood.free_starts import free_starts
@@ -95,13 +95,13 @@ def changed_since(
         simulator.stop_after(np.inf)
         cut_short = common.cut_short or found.cut_short
         fit, notes, fitter = found.fit, list(found.notes), found.fitter
-        if doubts := [d for c, sigmas in _with_errors(fit) if (d := _doubt(c, sigmas))]:
+        if doubts := [d for c, sigmas in with_errors(fit) if (d := _doubt(c, sigmas))]:
             fit, notes = found.nominal, notes + doubts
         rivals: list[Fit] = []
         if fit.causes:
             left = leave_out(fitter, fit)
             fit, _, rivals = beside_imitations(fitter, fit, left, found.equivalent, notes)
-            rivals = [f for f in map(fitter.spread, rivals) if not any(_doubt(*c) for c in _with_errors(f))]
+            rivals = [f for f in map(fitter.spread, rivals) if not any(_doubt(*c) for c in with_errors(f))]
         then, first, now = _split(pair.before, leftover(screen, found.nominal), leftover(screen, fit))
         unexplained = _stays(config, bool(fit.causes), then, first, now)
         verdict = (
@@ -129,7 +129,7 @@ def changed_since(
 def _loosen(screen: Screen, shared: Fit, there: bool) -> None:
     """Let the values that both logs share move by what the earlier log alone left open; where they are not `there`, in
     every simulation, from none."""
-    for cause, sigmas in _with_errors(shared):
+    for cause, sigmas in with_errors(shared):
         c = cause.candidate
         for p, value, error in zip(c.parameters, cause.values, sigmas, strict=True):
             sigma = error if there else error + abs(value - p.default)
@@ -156,14 +156,6 @@ def _stays(config: DiagnoseConfig, named: bool, then: F64, first: F64, now: F64)
     return (is_gap(now) and share > config.unexplained_share) or float(np.median(now)) > figures.EXPLAINED
 
 
-def _with_errors(fit: Fit) -> Iterator[tuple[Cause, F64]]:
-    """Causes with the standard errors of their values."""
-    at = 0
-    for cause in fit.causes:
-        yield cause, fit.sigmas[at : at + len(cause.values)]
-        at += len(cause.values)
-
-
 def _doubt(cause: Cause, errors: F64) -> str:
     """Why a change is not believed; empty if it is."""
     rows = [r for r in zip(cause.candidate.parameters, cause.values, errors, strict=True) if r[0].strength]
@@ -178,7 +170,7 @@ def _doubt(cause: Cause, errors: F64) -> str:
 def _described(shared: Fit, found: Fit) -> list[dict[str, Any]]:
     """Changes in the contract's form."""
     listed = []
-    for cause, errors in _with_errors(found):
+    for cause, errors in with_errors(found):
         c, name, parameters = cause.candidate, cause.candidate.effect.removesuffix(SINCE), {}
         known: dict[str, float] = {}
         for other in shared.causes:

@@ -120,6 +120,12 @@ def values_of(causes: Sequence[Cause]) -> F64:
     return np.array([v for c in causes for v in c.values], float)
 
 
+def with_errors(fit: Fit, sigmas: F64 | None = None) -> list[tuple[Cause, F64]]:
+    """Causes with the standard errors of their values; `sigmas`: (m,) of all values, the fit's own if None."""
+    ends = np.cumsum([len(c.values) for c in fit.causes], dtype=int)[:-1]
+    return list(zip(fit.causes, np.split(fit.sigmas if sigmas is None else sigmas, ends), strict=False))
+
+
 def parameters_of(causes: Sequence[Cause]) -> list[Parameter]:
     """Of all values in a row."""
     return [p for c in causes for p in c.candidate.parameters]

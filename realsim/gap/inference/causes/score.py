@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from realsim.core.types import F64
 from realsim.gap import figures
 from realsim.gap.effects.base import Place
 from realsim.gap.effects.lookup import lookup
@@ -59,8 +60,7 @@ def doubts(fitter: Fitter, before: Fit, after: Fit) -> tuple[list[str], Held | N
         if not any(contains(after.causes[-1].candidate, c.candidate) for c in before.causes):
             return [], None
         held = left_out(fitter, before, after)
-        needed = held is None or _holds(*held)
-        return [] if needed else ["runs left out in turn do not need the richer law"], held
+        return [] if holds(held) else ["runs left out in turn do not need the richer law"], held
     found = []
     gain, least = score(fitter, before) - score(fitter, after), least_gain(fitter, before)
     gain -= bent(before, after) if before.causes else 0.0  # beside others it would bend their values, too
@@ -70,23 +70,25 @@ def doubts(fitter: Fitter, before: Fit, after: Fit) -> tuple[list[str], Held | N
     # Deviations imitate a first cause on runs left out as well as on the others, at their price: the check is on it,
     # without them. Feet may slip with it in some runs only.
     alone = not before.causes and not fitter.screen.simulator.context.touches
-    if held is not None and not (alone or _holds(*held)):
+    if not (alone or holds(held)):
         found.append("does not hold on runs left out in turn")
     return found, held
 
 
 def left_out(fitter: Fitter, before: Fit, after: Fit) -> Held | None:
-    """(mean, standard error) over runs of the logarithm of the ratio of errors of each, fitted to the others: one run
-    that diverges counts once. None of a single run."""
-    if len(fitter.screen.runs) < 2:
-        return None
-    errors = [np.maximum(fitter.left_out(fit), 1e-9) for fit in (before, after)]
-    gains = np.log(errors[0] / errors[1])
-    return float(gains.mean()), float(gains.std(ddof=1) / np.sqrt(len(gains)))
+    """What a set gains over another on runs left out in turn, each fitted to the others. None of a single run."""
+    return gained(*map(fitter.left_out, (before, after))) if len(fitter.screen.runs) > 1 else None
 
 
-def _holds(mean: float, error: float) -> bool:
-    return mean > figures.HOLDS * error
+def gained(before: F64, after: F64) -> Held:
+    """(mean, standard error) over runs of the logarithm of the ratio of errors: one run that diverges counts once."""
+    gains = np.log(np.maximum(before, 1e-9) / np.maximum(after, 1e-9))
+    return float(gains.mean()), float(gains.std(ddof=1) / np.sqrt(len(gains))) if len(gains) > 1 else 0.0
+
+
+def holds(held: Held | None, least: float = 0.0) -> bool:
+    """Whether runs left out in turn need what gains so much on them, as a logarithm."""
+    return held is None or held[0] > max(figures.HOLDS * held[1], least)
 
 
 def alike(fitter: Fitter, best: Fit, rival: Fit, removed: float) -> bool:
@@ -98,7 +100,7 @@ def alike(fitter: Fitter, best: Fit, rival: Fit, removed: float) -> bool:
     if loss < figures.CLEARLY or loss >= figures.EQUAL * removed:
         return loss < figures.CLEARLY
     held = left_out(fitter, rival, best)
-    return held is None or not _holds(*held)
+    return held is None or not holds(held)
 
 
 def _kinds(screen: Screen, fit: Fit) -> set[tuple[str, tuple[Place, ...]]]:

@@ -10,7 +10,7 @@ from realsim.gap import figures
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.inference.causes.fit import Cause, Fit, Fitter
 from realsim.gap.inference.causes.fitted import Trial, imitates
-from realsim.gap.inference.causes.score import alike, determined, left_out, near, score
+from realsim.gap.inference.causes.score import alike, determined, holds, left_out, near, score
 from realsim.gap.inference.causes.search import Search, Tick
 from realsim.gap.inference.causes.starts import contains
 from realsim.gap.inference.likelihood.screen import Screen
@@ -86,8 +86,7 @@ def by_joint(fitter: Fitter, fit: Fit) -> Fit | None:
         return None
     apart, fit = fitter.spread(apart), fitter.spread(fit)
     gain = fit.misfit - apart.misfit - figures.PRICE * (determined(apart) - determined(fit))
-    held = left_out(fitter, fit, apart)
-    return apart if gain > figures.CLEARLY and (held is None or held[0] > figures.HOLDS * held[1]) else None
+    return apart if gain > figures.CLEARLY and holds(left_out(fitter, fit, apart)) else None
 
 
 def _parts(screen: Screen, cause: Cause) -> list[Cause]:
