@@ -8,6 +8,7 @@ import pytest
 
 from realsim.gap import Case, load_case
 from realsim.gap.answer.diagnosis import ranked_effects
+from realsim.gap.effects import EFFECTS
 from realsim.gap.figures import CLEARLY, PRICE
 from realsim.gap.inference.causes.fit import Cause, Fit, Fitter
 from realsim.gap.inference.causes.fitted import Trial, leftover
@@ -142,6 +143,24 @@ def test_a_run_is_left_out_beside_the_deviations_of_its_fit(fitter: Fitter) -> N
     moved = fitter.under(about=np.array(about))
     assert moved.left_out(soft) == pytest.approx(before)
     assert moved.remeasure(soft).misfit == pytest.approx(soft.misfit)
+
+
+def test_a_force_that_is_over_as_the_run_begins_is_no_cause(made) -> None:
+    """A quadruped's turned encoder was named with a force of the first 0.07 s beside it: there a run's start shows."""
+    kick = ("external_force", ("fore",), {"fx": 40.0, "fz": 0.0, "start": -0.1})
+    said = []
+    for end in (0.06, 1.0):
+        case = logged(load_case(made(Truth(), runs=3)), [(*kick[:2], kick[2] | {"end": end})])
+        with fitting(case, ("external_force",), [0, 1, 2]) as fitter:
+            push = next(c for c in fitter.screen.candidates if c.names == ("fx", "fz") and c.place == ("fore",))
+            every = {
+                p.name: p for p in EFFECTS["external_force"].parameters(fitter.screen.simulator.context, ("fore",))
+            }
+            push = replace(push, parameters=tuple(every[n] for n in ("fx", "fz", "start", "end")))
+            found = fitter.fit([Cause(push, (40.0, 0.0, -0.1, end))])
+            assert found is not None
+            said.append(any("of its start" in d for d in doubts(fitter, fitter.nominal(), found)[0]))
+    assert said == [True, False]
 
 
 def within_bounds(fit: Fit) -> np.ndarray:

@@ -155,6 +155,12 @@ def form(fit: Fit) -> float:
     return max((lookup(c.candidate.effect).law.form for c in fit.causes), default=0.0)
 
 
+def acts_for(cause: Cause) -> float:
+    """Seconds of a run in which a cause acts: of one that passes, its window without what lies before the run."""
+    named = cause.named
+    return named.get("lasts", named.get("end", np.inf) - max(named.get("start", 0.0), 0.0))
+
+
 def at_bound(p: Parameter, value: float) -> bool:
     """Whether a value lies at an end of its range; zero, where an effect begins, and nothing left of it are no ends."""
     low, high = p.bounds

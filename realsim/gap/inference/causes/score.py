@@ -9,7 +9,7 @@ from realsim.gap import figures
 from realsim.gap.effects.base import Place
 from realsim.gap.effects.lookup import lookup
 from realsim.gap.inference.causes.fit import Fit, Fitter
-from realsim.gap.inference.causes.fitted import imitates, leftover
+from realsim.gap.inference.causes.fitted import acts_for, imitates, leftover
 from realsim.gap.inference.causes.starts import contains, twins
 from realsim.gap.inference.likelihood.screen import Screen
 
@@ -56,6 +56,8 @@ def least_gain(fitter: Fitter, before: Fit) -> float:
 def doubts(fitter: Fitter, before: Fit, after: Fit) -> tuple[list[str], Held | None]:
     """(what speaks against the last cause of `after`: it gains too little, or not on runs that are left out, as must a
     law that contains the one whose place it takes; its gain on those)."""
+    if any(acts_for(c) < figures.BRIEF for c in after.causes if c.candidate.key not in before.full_key):
+        return [f"acts for less than {figures.BRIEF:g} s of a run, as an error of its start does"], None
     if len(after.causes) <= len(before.causes):
         if not any(contains(after.causes[-1].candidate, c.candidate) for c in before.causes):
             return [], None
