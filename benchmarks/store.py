@@ -9,6 +9,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from realsim.core.files import to_json, write_text
+from realsim.report.summary import versions
+
 Row = dict[str, Any]
 
 
@@ -49,8 +52,6 @@ class Store:
 
     def save(self) -> None:
         """Write all rows, and the runs that some of them are from."""
-        from realsim.core.files import to_json, write_text
-
         used = {r["run"] for r in self.rows}
         runs = {name: run for name, run in self.runs.items() if name in used}
         head = to_json({"runs": runs, **self.facts}).rstrip().removesuffix("}").rstrip()
@@ -63,8 +64,6 @@ class Store:
 
 def described_run() -> dict[str, Any]:
     """What a run is made with: machine, its load before the start, versions, commit."""
-    from realsim.report.summary import versions
-
     return {
         "cpu": _cpu(),
         "cores": os.cpu_count(),

@@ -16,10 +16,16 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
+import trimesh
+from manifold3d import CrossSection, FillRule, Manifold, OpType
 
 from benchmarks.store import Store
 from realsim.core.meshes import mesh_of
+from realsim.export import contact_mesh
+from realsim.export.config import SceneConfig
+from realsim.export.mend import read_mesh
 from tests.truths.solids import grid_mesh
 
 RESULTS = Path(__file__).parents[1] / "results" / "clean_meshes.json"
@@ -29,21 +35,15 @@ F64 = np.ndarray
 
 def box(x: float, y: float, z: float, sx: float, sy: float, sz: float, turn: float = 0.0) -> Any:
     """A box on (x, y, z), its size, turned about z by degrees."""
-    from manifold3d import Manifold
-
     return Manifold.cube([sx, sy, sz], True).translate([0, 0, sz / 2]).rotate([0, 0, turn]).translate([x, y, z])
 
 
 def union(parts: list[Any]) -> Any:
-    from manifold3d import Manifold, OpType
-
     return Manifold.batch_boolean(parts, OpType.Add)
 
 
 def prism(outline: list[tuple[float, float]], width: float) -> Any:
     """An outline in x z, `width` wide in y about 0."""
-    from manifold3d import CrossSection, FillRule, Manifold
-
     section = CrossSection([np.array(outline, float)], FillRule.NonZero)
     return Manifold.extrude(section, width).rotate([90, 0, 0]).translate([0, width / 2, 0])
 
@@ -59,8 +59,6 @@ def nosed(count: int, rise: float, run: float, width: float, nose: float) -> Any
 
 
 def spiral(count: int) -> list[Any]:
-    from manifold3d import CrossSection, FillRule, Manifold
-
     out = []
     for k in range(count):
         a, b = np.radians(25 * k), np.radians(25 * (k + 1))
@@ -75,8 +73,6 @@ def spiral(count: int) -> list[Any]:
 
 
 def cylinder(x: float, y: float, z: float, radius: float, height: float, sides: int = 24) -> Any:
-    from manifold3d import Manifold
-
     return Manifold.cylinder(height, radius, radius, sides).translate([x, y, z])
 
 
@@ -95,8 +91,6 @@ def shelf(boards: int = 5) -> list[Any]:
 
 
 def rubble(count: int, seed: int) -> list[Any]:
-    from manifold3d import Manifold
-
     rng = np.random.default_rng(seed)
     out = [box(0, 0, -0.05, 3, 2, 0.05)]
     for _ in range(count):
@@ -118,8 +112,6 @@ def pits() -> Any:
 
 
 def arch(width: float) -> Any:
-    from manifold3d import Manifold
-
     return box(0, 0, 0, 0.9, width, 0.45) - Manifold.cylinder(2, 0.3, 0.3, 32, True).rotate([90, 0, 0])
 
 
@@ -230,8 +222,6 @@ def one_surface(made: Any) -> tuple[F64, F64]:
 
 def write_mesh(name: str, folder: Path, turned: bool = False) -> Path:
     """The file of a mesh; `turned` with y up."""
-    import trimesh
-
     vertices, faces = triangles_of(MESHES[name]())
     if turned:
         vertices = np.column_stack([vertices[:, 0], vertices[:, 2], -vertices[:, 1]])
@@ -242,9 +232,6 @@ def write_mesh(name: str, folder: Path, turned: bool = False) -> Path:
 
 def row(name: str) -> dict[str, Any]:
     """Verdict and figures of a mesh."""
-    from realsim.export import contact_mesh
-    from realsim.export.config import SceneConfig
-
     with tempfile.TemporaryDirectory() as folder:
         path = write_mesh(name, Path(folder))
         out = Path(folder) / "out"
@@ -273,7 +260,6 @@ def row(name: str) -> dict[str, Any]:
 
 def stuck_objects(scene: Path, vertices: F64, triangles: F64, count: int = 200) -> tuple[int, int]:
     """(balls and capsules that stay inside, how many landed): at 2 m/s, half of them on edges of collision geoms."""
-    import mujoco
     import open3d
 
     surface = open3d.t.geometry.RaycastingScene()
@@ -330,8 +316,6 @@ def _inside(surface: Any, points: F64) -> F64:
 
 def _top_edges(model: Any, data: Any, geom: int, rng: np.random.Generator) -> list[F64]:
     """Places (2,) along the upper edges of a box or the hull of a mesh."""
-    import mujoco
-
     kind = model.geom_type[geom]
     if kind == mujoco.mjtGeom.mjGEOM_BOX:
         corners = np.array([[a, b, c] for a in (-1, 1) for b in (-1, 1) for c in (-1, 1)]) * model.geom_size[geom]
@@ -347,8 +331,6 @@ def _top_edges(model: Any, data: Any, geom: int, rng: np.random.Generator) -> li
 
 def ask_up() -> None:
     """Prints what is taken to be up of every mesh, as it is and with y up."""
-    from realsim.export.mend import read_mesh
-
     for name in MESHES:
         said = []
         for turned in (False, True):

@@ -32,6 +32,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
+import trimesh
+
 from benchmarks.store import Store
 from realsim.core.files import read_json
 from realsim.core.types import MeshQuality, TerrainMesh
@@ -43,6 +45,7 @@ from realsim.export.contact.cost import step_cost
 from realsim.export.contact.fidelity import measure
 from realsim.export.contact.probe import Reference, spec_of
 from realsim.export.contact.shape import Shape
+from realsim.pipeline import reconstruct
 from tests.truths.solids import PLATFORM, TERRAINS, terrain
 
 CONFIG = SceneConfig()
@@ -120,8 +123,6 @@ def generated(name: str) -> Case:
 
 def capture_truth(folder: Path) -> tuple[TerrainMesh, float]:
     """(true mesh of a rendered capture, z of its floor)."""
-    import trimesh
-
     mesh: Any = trimesh.load(folder / "gt" / "gt_mesh.ply", process=False)
     vertices, triangles = np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int32)
     quality = MeshQuality(len(vertices), len(triangles), False, True, 0, 0, 1, None)
@@ -136,8 +137,6 @@ def true_capture(folder: Path) -> Case:
 
 def reconstructed(folder: Path) -> Case:
     """A capture reconstructed with its given poses, as the command line does it."""
-    from realsim.pipeline import reconstruct
-
     truth, truth_z = capture_truth(folder)
     with tempfile.TemporaryDirectory() as out:
         found = reconstruct(folder / "capture", Path(out) / "scene")

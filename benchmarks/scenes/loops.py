@@ -29,6 +29,15 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 from benchmarks.store import Row, Store  # noqa: E402  (the path above)
+from realsim import capture  # noqa: E402
+from realsim.capture.config import CaptureConfig  # noqa: E402
+from realsim.core.errors import PoseError  # noqa: E402
+from realsim.core.geometry import invert_T  # noqa: E402
+from realsim.feedforward.rgbd.estimate import estimate  # noqa: E402
+from realsim.feedforward.rgbd.features import Evidence  # noqa: E402
+from realsim.feedforward.rgbd.overlap import overlap  # noqa: E402
+from realsim.synth.capture import write_capture  # noqa: E402
+from realsim.synth.config import SynthConfig  # noqa: E402
 
 FALSE_M = 0.3
 """A link that is off by more than this joins two places that are not one."""
@@ -95,9 +104,6 @@ def main(options: Options) -> None:
 
 def rendered(case: Case, options: Options, folder: Path) -> Path:
     """The capture of a case; one that is there is taken as it is."""
-    from realsim.synth.capture import write_capture
-    from realsim.synth.config import SynthConfig
-
     out = folder / f"{case.name}-{options.width}"
     if (out / "truth").is_dir():
         return out / "capture"
@@ -117,12 +123,6 @@ def rendered(case: Case, options: Options, folder: Path) -> Path:
 
 def measured(case: Case, source: Path) -> Row:
     """Figures of one place."""
-    from realsim import capture
-    from realsim.capture.config import CaptureConfig
-    from realsim.core.errors import PoseError
-    from realsim.feedforward.rgbd.estimate import estimate
-    from realsim.feedforward.rgbd.features import Evidence
-
     frames: Any = capture.read(source, CaptureConfig(keep_blurred=True, max_frames=0))
     order = np.arange(len(frames))
     if case.shuffled:
@@ -169,9 +169,6 @@ def measured(case: Case, source: Path) -> Row:
 
 def revisits(views: Sequence[Any], truth: np.ndarray, order: np.ndarray) -> list[tuple[int, int]]:
     """Pairs of frames of two visits that share surface, by the true poses."""
-    from realsim.core.geometry import invert_T
-    from realsim.feedforward.rgbd.overlap import overlap
-
     pairs = [(i, j) for j in range(len(views)) for i in range(j) if apart(i, j, truth, order)]
     near = [(i, j) for i, j in pairs if np.linalg.norm(truth[i, :3, 3] - truth[j, :3, 3]) < 3.0]
     return [p for p in near if overlap(views[p[0]], views[p[1]], invert_T(truth[p[0]]) @ truth[p[1]], 4).fraction > 0.2]
@@ -187,15 +184,11 @@ def apart(i: int, j: int, truth: np.ndarray, order: np.ndarray) -> bool:
 
 def off(T_i_j: np.ndarray, T_i: np.ndarray, T_j: np.ndarray) -> float:
     """Metres by which a motion is off from that of true poses."""
-    from realsim.core.geometry import invert_T
-
     return float(np.linalg.norm((invert_T(T_i_j) @ invert_T(T_i) @ T_j)[:3, 3]))
 
 
 def motion_error(a: np.ndarray, b: np.ndarray, true_a: np.ndarray, true_b: np.ndarray) -> float:
     """Metres by which frame b is off as frame a sees it."""
-    from realsim.core.geometry import invert_T
-
     return off(invert_T(a) @ b, true_a, true_b)
 
 

@@ -28,9 +28,21 @@ import tyro
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
+import trimesh  # noqa: E402
+from scipy.spatial.transform import Rotation  # noqa: E402
+
 from benchmarks.scenes.loops import ate  # noqa: E402  (the path above)
 from benchmarks.scenes.real_captures import SLAMBOOK  # noqa: E402
+from benchmarks.scenes.reconstruct import score  # noqa: E402
 from benchmarks.store import Row, Store  # noqa: E402
+from realsim import align, capture, feedforward, meshing, scale  # noqa: E402
+from realsim.align.config import AlignConfig  # noqa: E402
+from realsim.capture.config import CaptureConfig  # noqa: E402
+from realsim.core.errors import PoseError, RealsimError  # noqa: E402
+from realsim.core.geometry import invert_T  # noqa: E402
+from realsim.feedforward.config import PointsConfig  # noqa: E402
+from realsim.meshing.config import MeshConfig  # noqa: E402
+from realsim.scale.config import ScaleConfig  # noqa: E402
 
 SHARED = Path(os.environ.get("REALSIM_SHARED", ROOT.parent / "shared"))
 RENDERED = ("stake_a", "narrow_a", "mixed_a")
@@ -74,9 +86,6 @@ def main(options: Options) -> None:
 
 def _frames(name: str, kind: str, every: int, work: Path) -> Any:
     """The frames of a capture, made harder."""
-    from realsim import capture
-    from realsim.capture.config import CaptureConfig
-
     if name == "slambook":  # has no file with its camera, which the book prints
         for part in ("color", "depth"):
             (work / part).symlink_to(SHARED / "real_captures" / REAL[name] / part)
@@ -122,10 +131,6 @@ SPOIL = {"blur": blurred, "dark": darkened}
 
 
 def _points(frames: Any, name: str, learned: bool) -> tuple[Row, Any]:
-    from realsim import feedforward
-    from realsim.core.errors import PoseError
-    from realsim.feedforward.config import PointsConfig
-
     began = time.perf_counter()
     try:
         found = feedforward.solve(frames, PointsConfig(poses="estimate", learned_matches=learned))
@@ -152,8 +157,6 @@ def _points(frames: Any, name: str, learned: bool) -> tuple[Row, Any]:
 
 def _truth(frames: Any, name: str) -> np.ndarray | None:
     """(N, 4, 4)."""
-    from scipy.spatial.transform import Rotation
-
     if name == "slambook":
         rows = np.loadtxt(SHARED / "real_captures" / REAL[name] / "pose.txt")
         T = np.tile(np.eye(4), (len(rows), 1, 1))
@@ -166,23 +169,12 @@ def _truth(frames: Any, name: str) -> np.ndarray | None:
 
 def _worst_step(found: np.ndarray, truth: np.ndarray) -> float:
     """Largest error of the motion between frames that follow each other, metres."""
-    from realsim.core.geometry import invert_T
-
     steps = [invert_T(T[:-1]) @ T[1:] for T in (found, truth)]
     return float(np.linalg.norm((invert_T(steps[0]) @ steps[1])[:, :3, 3], axis=1).max())
 
 
 def _f_score(frames: Any, solution: Any, name: str) -> float | None:
     """F-score at 1 cm of the mesh without a change of scale, by the score.py beside the captures; None without one."""
-    import trimesh
-
-    from benchmarks.scenes.reconstruct import score
-    from realsim import align, feedforward, meshing, scale
-    from realsim.align.config import AlignConfig
-    from realsim.core.errors import RealsimError
-    from realsim.feedforward.config import PointsConfig
-    from realsim.meshing.config import MeshConfig
-    from realsim.scale.config import ScaleConfig
 
     try:
         points = feedforward.pointmaps(frames, solution, PointsConfig(poses="estimate"))

@@ -23,7 +23,13 @@ import tyro
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
+import mujoco  # noqa: E402
+import trimesh  # noqa: E402
+
 from benchmarks.store import Row, Store  # noqa: E402  (the path above)
+from realsim import capture  # noqa: E402
+from realsim.capture.config import CaptureConfig  # noqa: E402
+from realsim.export.contact.probe import BALL, BALL_RADIUS, SimTouch  # noqa: E402
 
 SHARED = Path(os.environ.get("REALSIM_SHARED", ROOT.parent / "shared")) / "real_captures"
 TREADS = (0.17, 0.36, 0.55, 0.74, 0.92, 1.11, 1.31, 1.51)
@@ -116,7 +122,6 @@ def _treads(_: Path, __: Path, report: dict[str, Any]) -> str:
 
 
 def _room(_: Path, scene: Path, report: dict[str, Any]) -> str:
-    from realsim.export.contact.probe import BALL, BALL_RADIUS, SimTouch
 
     corners, normals = _triangles(scene)
     z = corners.mean(1)[:, 2] - report["ground_z"]
@@ -125,8 +130,6 @@ def _room(_: Path, scene: Path, report: dict[str, Any]) -> str:
     sums, edges = np.histogram(z[ceiling], np.arange(2, 4, 0.02), weights=area[ceiling])
     top = (normals[:, 2] > 0.95) & (z > 0.55) & (z < 0.9)
     below = corners[top].mean(1) - [0, 0, 0.3]
-    import mujoco
-
     touch = SimTouch(mujoco.MjSpec.from_file(str(scene / "scene.xml")), BALL)
     free = touch.clearance(below, np.tile([1.0, 0, 0, 0], (len(below), 1))) > -BALL_RADIUS
     share = float((free * area[top]).sum() / area[top].sum())
@@ -135,8 +138,6 @@ def _room(_: Path, scene: Path, report: dict[str, Any]) -> str:
 
 def _triangles(scene: Path) -> tuple[np.ndarray, np.ndarray]:
     """(K, 3, 3) corners and (K, 3) unit normals of mesh.ply."""
-    import trimesh
-
     mesh = trimesh.load(scene / "mesh.ply", process=False)
     return np.asarray(mesh.triangles), np.asarray(mesh.face_normals)  # type: ignore[union-attr]
 
@@ -150,9 +151,6 @@ def _chair(source: Path, _: Path, report: dict[str, Any]) -> str:
 
 
 def _chair_estimated(source: Path, scene: Path, report: dict[str, Any]) -> str:
-    from realsim import capture
-    from realsim.capture.config import CaptureConfig
-
     frames: Any = capture.read(source, CaptureConfig(keep_blurred=True))
     given = {f.name: f.T_world_camera[:3, 3] for f in frames.frames if f.T_world_camera is not None}
     return _ate(report, given) + "; " + _chair(source, scene, report)
@@ -186,9 +184,6 @@ CABINET = np.array([0.793, 0.445, 0.545])
 
 
 def _cabinet(source: Path, _: Path, report: dict[str, Any]) -> str:
-    from realsim import capture
-    from realsim.capture.config import CaptureConfig
-
     frames: Any = capture.read(source, CaptureConfig(keep_blurred=True, max_frames=0))
     given = {f.name: f.T_world_camera[:3, 3] for f in frames.frames}
     sizes = [np.array(p["size"]) for p in report["platforms"]]

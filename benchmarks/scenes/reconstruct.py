@@ -30,7 +30,10 @@ RESULTS = ROOT / "benchmarks" / "results"
 MODES = {"given": "given", "hidden": "estimate"}
 """What is done to a capture's poses -> how realsim is told."""
 
+from dataclasses import replace  # noqa: E402
+
 from benchmarks.store import Row, Store  # noqa: E402  (the path above)
+from realsim.pipeline import ReconstructConfig, peak_memory_mb, reconstruct  # noqa: E402
 
 
 @dataclass(frozen=True)
@@ -123,8 +126,6 @@ def measured(function: Callable[..., Row], *args: Any) -> Row:
 
 
 def _timed(function: Callable[..., Row], args: tuple[Any, ...]) -> Row:
-    from realsim.pipeline import peak_memory_mb
-
     began, cpu = time.perf_counter(), time.process_time()
     row = function(*args)
     spent = {"seconds": time.perf_counter() - began, "cpu_seconds": time.process_time() - cpu}
@@ -132,9 +133,6 @@ def _timed(function: Callable[..., Row], args: tuple[Any, ...]) -> Row:
 
 
 def _reconstruct(source: Path, out: Path, poses: str) -> Row:
-    from dataclasses import replace
-
-    from realsim.pipeline import ReconstructConfig, reconstruct
 
     config = ReconstructConfig(overwrite=True, no_cache=True)
     config = replace(config, points=replace(config.points, poses=poses))

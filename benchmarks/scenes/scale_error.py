@@ -25,7 +25,11 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 RESULTS = ROOT / "benchmarks" / "results" / "scale_error.json"
 
+from benchmarks.scenes.scale_sources import SOURCES, make_capture, run  # noqa: E402
 from benchmarks.store import Store  # noqa: E402
+from realsim.core.geometry import exp_so3, make_T  # noqa: E402
+from realsim.core.rays import raycasting_scene  # noqa: E402
+from realsim.feedforward.onnx.sim3 import robust_similarity  # noqa: E402
 
 Row = dict[str, Any]
 
@@ -76,8 +80,6 @@ class Options:
 
 def main(options: Options) -> None:
     """Run what is missing, one capture after the other, and print the table of what there is."""
-    from benchmarks.scenes.scale_sources import SOURCES, make_capture, run
-
     store = open_store(options.fresh)
     rows = store.rows
     began = time.monotonic()
@@ -113,8 +115,6 @@ def main(options: Options) -> None:
 
 def true_surface(capture: Any) -> Any:
     """Platforms, obstacles and floor as a surface with normals."""
-    from realsim.core.rays import raycasting_scene
-
     solids = [s for s in capture.terrain.solids if s.role != "scenery"]
     offsets = np.cumsum([0] + [len(s.vertices) for s in solids])
     V = np.vstack([s.vertices for s in solids])
@@ -144,8 +144,6 @@ def pixel_similarity(found: Any, surface: Any) -> Any:
     why there is none. It is what an interval has to hold; registration to a surface has errors of its own, which on
     blurred clouds of narrow things are larger than the scale's.
     """
-    from realsim.feedforward.onnx.sim3 import robust_similarity
-
     inside = _inside(found, surface)
     fit = robust_similarity(found.points[inside], found.true[inside], np.ones(inside.sum()))
     if fit is None or fit.error > BROKEN:
@@ -166,8 +164,6 @@ def registered_scale(found: Any, surface: Any, start: np.ndarray) -> tuple[float
     floor, tops and sides of each direction count alike.
     """
     import open3d as o3d
-
-    from realsim.core.geometry import exp_so3, make_T
 
     scene, normals, (low, _) = surface
     T, P = start, found.points[_inside(found, surface)]

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from realsim.align import align
+from realsim.align.cloud import sample_scan
 from realsim.align.config import AlignConfig
 from realsim.align.scene import along_walls
+from realsim.align.winding import inside_out
 from realsim.core.errors import AlignError, UnknownNameError
 from realsim.core.geometry import exp_so3, invert_T, make_T, transform
 from realsim.core.registry import Registry
@@ -264,8 +266,6 @@ def test_a_mesh_made_by_hand(course, source):
 
 def test_a_cloud_with_y_up_and_no_normals(course, source):
     V, F = mesh_of(course[:4])
-    from realsim.align.cloud import sample_scan
-
     points, _ = sample_scan(V, F, 0)
     T_y_up = make_T(np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]))
     aligned = align(Scan(source, "cloud", transform(T_y_up, points)), CONFIG)
@@ -277,8 +277,6 @@ def test_a_cloud_with_y_up_and_no_normals(course, source):
 
 def test_a_sparse_cloud_is_looked_at_more_coarsely(course, source):
     V, F = mesh_of(course[:4], np.array([3.0, 3.0]))
-    from realsim.align.cloud import sample_scan
-
     points, _ = sample_scan(V, F, 0)
     rng = np.random.default_rng(0)
     sparse = points[rng.choice(len(points), int(0.06 * len(points)), replace=False)]  # 1200 a square metre
@@ -308,9 +306,6 @@ def plinth(boxes, thickness=0.1):
 
 
 def turned(T, V, F, up=None):
-    from realsim.align.cloud import sample_scan
-    from realsim.align.winding import inside_out
-
     return inside_out(*sample_scan(transform(T, V), F, 0), up)
 
 

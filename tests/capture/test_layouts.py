@@ -12,7 +12,7 @@ from realsim.capture import LAYOUTS, CaptureConfig, inspect, read
 from realsim.capture.layout import Recognition
 from realsim.capture.recognition import recognise
 from realsim.core.errors import CaptureError, PoseError, RealsimError, UnknownNameError
-from realsim.core.geometry import is_rotation
+from realsim.core.geometry import R_to_quat, is_rotation, transform
 from realsim.core.types import FrameSet, Intrinsics
 
 from .scene import CAMERA, walk
@@ -361,8 +361,6 @@ def test_pcd_axes_and_viewpoint_traps(stored, viewpoint, said, data, tmp_path):
 
 @pytest.mark.parametrize("in_world", [False, True])
 def test_pcd_viewpoints_that_differ_are_poses(in_world, tmp_path):
-    from realsim.core.geometry import R_to_quat, transform
-
     views = walk(6)
     for i, view in enumerate(views):
         T = view.T_world_camera

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from realsim.changes import Changes, Surface, compare
 from realsim.core.errors import RealsimError
@@ -37,8 +38,6 @@ class Place:
 
 def scan(place: Place, seed: int, noise: float = 0.002, pitch: float = 0.01) -> Surface:
     """A surface of 3 x 2 m as a reconstruction has it: rounded, uneven by 2 mm over some centimetres, partly unseen."""
-    from scipy.ndimage import gaussian_filter
-
     rng = np.random.default_rng(seed)
     xs, ys = np.arange(-1.5, 1.5, pitch), np.arange(-1.0, 1.0, pitch)
     jitter = rng.uniform(-0.5, 0.5, 2) * pitch

@@ -9,6 +9,7 @@ import trimesh
 
 from realsim.core.errors import GapError, RealsimError
 from realsim.core.mjcf import check_mjcf
+from realsim.gap import load_case
 
 GEOM = '<geom size="1"/>'
 
@@ -116,8 +117,6 @@ def test_meshes_beside_the_model_pass(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("case", ["replicate_bomb", "replicate_nested_6GB"])
 def test_bombs_that_were_met(case: str, shared: Callable[[str], Path]) -> None:
-    from realsim.gap import load_case
-
     began = time.process_time()
     with pytest.raises(GapError, match="too large"):
         load_case(shared(f"cases/broken/{case}"))

@@ -12,6 +12,7 @@ from realsim.export.contact.base import ContactModel, Geom, floor_plane
 from realsim.export.contact.boxes import boxes
 from realsim.export.contact.columns import columns
 from realsim.export.contact.fidelity import measure
+from realsim.export.contact.islands import terrain as islands
 from realsim.export.contact.outline import area, convex_parts, hull, outlines
 from realsim.export.contact.planes import heights, misfit, segment, spread
 from realsim.export.contact.probe import Reference, spec_of
@@ -154,8 +155,6 @@ def _contains(ring: np.ndarray, point: list[float]) -> bool:
 
 
 def test_solids_are_closed_and_of_the_right_size() -> None:
-    from realsim.export.contact.islands import terrain as islands
-
     whole = islands(with_floor(block(0, 0, 0.2, 0.3, 0.15)), 0.0, 0.01)
     vertices, faces = island_solid(whole, whole.islands[0])
     solid = trimesh.Trimesh(vertices, faces)

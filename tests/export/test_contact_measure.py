@@ -1,7 +1,9 @@
 """The measure of collision geometry: exact touches, signs, holes, and what is inside."""
 
+import mujoco
 import numpy as np
 import pytest
+import trimesh
 
 from realsim.core.types import TerrainMesh
 from realsim.export import CONTACT
@@ -13,6 +15,7 @@ from realsim.export.contact.fidelity import FAULTLESS, Region, g1_foot, measure
 from realsim.export.contact.prisms import as_contact
 from realsim.export.contact.probe import BALL, Reference, SimTouch, first_touch, spec_of
 from realsim.export.contact.shape import Shape
+from realsim.export.contact.sides import FREE, free_side_figures, side_figures
 from tests.export.measured import CONFIG, FACING_UP, fidelity, reference
 from tests.truths.solids import block, terrain, with_floor
 
@@ -127,10 +130,6 @@ def test_region_holds_what_rises() -> None:
 
 def test_a_ray_that_meets_something_invented_first_does_not_count() -> None:
     """A wall that no camera saw stands before one that was seen: from its far side nothing counts."""
-    import mujoco
-    import trimesh
-
-    from realsim.export.contact.sides import side_figures
 
     spec = mujoco.MjSpec()
     spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[5, 5, 1])
@@ -152,10 +151,6 @@ def test_a_ray_that_meets_something_invented_first_does_not_count() -> None:
 
 
 def test_a_pillar_below_what_floats_stands_in_free_air_and_a_block_below_a_sheet_does_not() -> None:
-    import mujoco
-    import trimesh
-
-    from realsim.export.contact.sides import FREE, free_side_figures
 
     def figures(drawn, *solid) -> dict:
         """Of boxes, (size, middle) each."""

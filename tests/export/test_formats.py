@@ -17,6 +17,7 @@ import pytest
 import trimesh
 from defusedxml import ElementTree
 
+from realsim.cli.commands.export import export
 from realsim.core.errors import ExportError, UnknownNameError
 from realsim.core.rays import Rays
 from realsim.export import EXPORTERS, export_scene, write_scene
@@ -140,8 +141,6 @@ def test_warp_profile_is_primitives_with_bits_and_advice(exported: dict[str, lis
 
 
 def test_the_warp_profile_of_mjcf_is_the_warp_format(folder: Path, tmp_path: Path) -> None:
-    from realsim.cli.commands.export import export
-
     result = export((folder,), to="mjcf,ply", profile="warp", out=tmp_path)
     assert {p.name for p in tmp_path.iterdir()} == {"warp", "ply"}
     assert (tmp_path / "warp" / "terrain.xml").is_file()

@@ -126,8 +126,6 @@ def test_what_was_not_measured_is_not_asked_for_from_the_side() -> None:
 
 
 def test_patches_of_a_box_are_its_faces() -> None:
-    import trimesh
-
     box = trimesh.creation.box([0.4, 0.3, 0.2])
     samples = sampled(np.asarray(box.vertices), np.asarray(box.faces, np.int32), 0.01)
     found = patches(samples, 0.005)

@@ -4,6 +4,7 @@ import errno
 import io
 import os
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -216,8 +217,6 @@ def compiled_nodes(heights: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndar
     X, Y = np.meshgrid(x, y)
     vertices = np.stack([X, Y, heights], -1).reshape(-1, 3)
     grid = HeightGrid(np.array([x[0], y[0]]), np.array([0.1, 0.2]), heights)
-    from importlib import import_module
-
     module = import_module("realsim.export.contact.hfield")
 
     patch = pytest.MonkeyPatch()

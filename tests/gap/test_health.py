@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from realsim.cli.command_line import main
 from realsim.core.errors import GapError
 from realsim.gap import Case, DiagnoseConfig, Run, load_case
 from realsim.gap.case.health import examine, gathered
@@ -348,8 +349,6 @@ def test_one_fall_of_the_nominal_among_many_runs_is_a_warning(tmp_path: Path) ->
 
 
 def test_a_run_that_is_left_out_is_said_on_the_terminal(made: Callable[..., Path], tmp_path: Path, capsys: Any) -> None:
-    from realsim.cli.command_line import main
-
     case = shutil.copytree(made(Truth()), tmp_path / "case")
     sorted((case / "runs").iterdir())[0].write_bytes(b"torn")
     out = tmp_path / "out"
@@ -364,8 +363,6 @@ def test_a_run_that_is_left_out_is_said_on_the_terminal(made: Callable[..., Path
 
 
 def test_a_broken_case_stops_no_other(made: Callable[..., Path], tmp_path: Path, capsys: Any) -> None:
-    from realsim.cli.command_line import main
-
     broken = tmp_path / "broken"
     shutil.copytree(made(Truth()), broken)
     (broken / "model.xml").write_text("<mujoco>")

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from realsim.gap.answer.check import Check
-from realsim.gap.answer.sentence import advice, amount, phrase, removed, sentence
+from realsim.gap.answer.sentence import advice, amount, number, phrase, removed, sentence
 from realsim.gap.answer.verdict import Judgement
 from realsim.gap.effects import EFFECTS
 from realsim.gap.verdicts import GapVerdict
@@ -287,8 +287,6 @@ def test_what_all_alternatives_share_is_said_once() -> None:
 
 
 def test_no_minus_stands_before_a_zero() -> None:
-    from realsim.gap.answer.sentence import number
-
     assert [number(v) for v in (-0.0, 0.0, -0.5)] == ["0", "0", "−0.5"]
 
 

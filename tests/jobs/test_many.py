@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from realsim.cli.commands import other_arguments, set_arguments
+from realsim.cli.commands.many import DROPPED
 from realsim.core.errors import RealsimError
 from realsim.jobs import Job, ManyConfig, make_job, run_many
 from tests.gap.truth import ARM
@@ -195,9 +197,6 @@ def test_no_job_at_a_time_is_refused() -> None:
 
 
 def test_the_options_of_many_are_not_those_of_one() -> None:
-    from realsim.cli.commands import other_arguments, set_arguments
-    from realsim.cli.commands.many import DROPPED
-
     set_arguments(["a", "b", "--out", "x", "--jobs=2", "--executor", "slurm", "--slurm", "p=1", "--seed", "3"])
     assert other_arguments(DROPPED, ["a", "b"]) == ("--seed", "3")
     for name in ("jobs", "executor", "ray", "slurm"):

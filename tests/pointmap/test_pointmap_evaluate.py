@@ -8,6 +8,8 @@ import pytest
 import torch
 
 from realsim.core.errors import CaptureError
+from realsim.feedforward.onnx.preprocess import depth_to_grid, make_grid
+from realsim.feedforward.onnx.spec import Port, Spec
 from training.pointmap import evaluate
 from training.pointmap.layouts import LAYOUTS
 from training.pointmap.network import TINY, PointmapNet
@@ -31,9 +33,6 @@ def test_windows_hold_every_frame_once() -> None:
 
 def test_the_truth_of_a_capture_is_what_its_sensor_saw(shared: Callable[[str], Path]) -> None:
     pytest.importorskip("open3d")
-    from realsim.feedforward.onnx.preprocess import depth_to_grid, make_grid
-    from realsim.feedforward.onnx.spec import Port, Spec
-
     truth = evaluate.read(shared("captures/stake_a"))
     spec = Spec("pointmap", Port("images", (1, "N", 3, 96, 128), ""), {}, patch=16, fixed_hw=(96, 128))
     frame = truth.frames[7]

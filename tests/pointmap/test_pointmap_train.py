@@ -12,8 +12,12 @@ import numpy as np
 import pytest
 import torch
 
+from realsim import feedforward
 from realsim.core.errors import RealsimError
-from training.pointmap import metrics, state, train
+from realsim.core.types import Frame, FrameSet, Intrinsics
+from realsim.feedforward.config import OnnxConfig, PointsConfig
+from realsim.feedforward.onnx import SHIPPED
+from training.pointmap import bundle, export, metrics, shipped, state, train
 from training.pointmap.layouts import library
 from training.pointmap.network import TINY, PointmapNet
 from training.pointmap.scenes import Generator
@@ -124,11 +128,6 @@ def test_the_exported_file_is_what_realsim_reads(tmp_path: Path, monkeypatch: py
     """A network after a step, its weights in half precision and in 8 bits; the latter through the backend onnx."""
     pytest.importorskip("onnxruntime")
     pytest.importorskip("onnx")
-    from realsim import feedforward
-    from realsim.core.types import Frame, FrameSet, Intrinsics
-    from realsim.feedforward.config import OnnxConfig, PointsConfig
-    from training.pointmap import bundle, export, shipped
-
     monkeypatch.setattr(bundle, "ROUNDS", 1)  # of a long graph onnxruntime thinks for seconds
     traced: list[tuple[bytes, dict[str, float]]] = []
     trace = export.export
@@ -182,9 +181,6 @@ def test_the_file_that_ships_is_this_network() -> None:
     """Points, poses and doubt of two views by colour alone: the graph in the file is that of the code beside it."""
     pytest.importorskip("onnxruntime")
     pytest.importorskip("onnx")
-    from realsim.feedforward.onnx import SHIPPED
-    from training.pointmap import export, shipped
-
     feeds = {name: values[:, :2] for name, values in export._views((240, 320)).items()}
     with torch.no_grad():
         told = export.Exported(shipped.any_of(SHIPPED).net.eval())(*feeds.values())

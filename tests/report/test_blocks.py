@@ -14,6 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from realsim.core.geometry import error_grid
 from realsim.core.meshes import simplify
 from realsim.report import page, raster, svg, viewer3d
 from realsim.report.collision import collision_triangles, sharp_edges
@@ -170,8 +171,6 @@ def test_pieces_escape_text() -> None:
 
 
 def test_the_contact_map_shows_the_worst_of_a_cell_from_above() -> None:
-    from realsim.core.geometry import error_grid
-
     x, y = np.meshgrid(np.arange(10) / 10, np.arange(5) / 10)
     error = np.zeros(x.size)
     error[-1] = 0.02  # largest x, largest y: upper right

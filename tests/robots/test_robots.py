@@ -6,6 +6,7 @@ import sys
 import mujoco
 import numpy as np
 import pytest
+import trimesh
 
 from realsim.core.errors import ExportError, MissingExtraError, UnknownNameError
 from realsim.robots import ROBOTS, load
@@ -101,8 +102,6 @@ def test_menagerie_without_the_package(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_foreign_robot_brings_its_meshes_and_stands_on_its_lowest_point(tmp_path) -> None:
-    import trimesh
-
     (tmp_path / "parts").mkdir()
     trimesh.creation.box([0.2, 0.2, 0.1]).export(tmp_path / "parts" / "trunk.stl")
     path = tmp_path / "robot.xml"

@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import trimesh
 
 from realsim.core.errors import RealsimError, UnknownNameError
 from realsim.core.geometry import exp_so3, is_rotation, make_T, transform
@@ -198,7 +199,5 @@ def test_compare_refuses_what_is_no_scene(capture: Path, tmp_path: Path) -> None
 
 
 def _write_ply(path: Path, vertices: np.ndarray, triangles: np.ndarray) -> None:
-    import trimesh
-
     path.parent.mkdir(parents=True)
     trimesh.Trimesh(vertices, triangles, process=False).export(path)

@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 
 from realsim.feedforward import matcher
+from realsim.feedforward.onnx.session import runtime
 from tools import export_xfeat
 
 onnx = pytest.importorskip("onnx")
 
 
 def test_halved_weights_compute_the_same_in_half_the_space(tmp_path: Path) -> None:
-    from realsim.feedforward.onnx.session import runtime
-
     path = tmp_path / "small.onnx"
     weights = np.random.default_rng(0).normal(size=(64, 64)).astype(np.float32)
     node = onnx.helper.make_node("MatMul", ["x", "w"], ["y"], name="product")

@@ -11,9 +11,11 @@ import mujoco
 import numpy as np
 import pytest
 
+import realsim as rs
 from realsim.core.errors import RealsimError
 from realsim.gap.case.case import load_case
 from realsim.gap.checks.camera.recorded import depth_camera
+from realsim.results import GapVerdict
 from trainer.commands.close import close
 from trainer.commands.common import find_terrain
 from trainer.deploy import log as logs
@@ -23,9 +25,10 @@ from trainer.deploy.mujoco import MujocoRobot
 from trainer.errors import TrainerError
 from trainer.policies import FOLDER, TASKS, base_of
 from trainer.ppo import export
+from trainer.ppo.config import LoopConfig, PPOConfig
 from trainer.robots import ROBOTS
 from trainer.tasks.parkour.depth import rays
-from trainer.trainers import TrainConfig
+from trainer.trainers import TrainConfig, ppo
 
 POLICY = FOLDER / "quadruped_parkour.onnx"
 QUADRUPED = ROBOTS["quadruped"]()
@@ -211,9 +214,6 @@ def test_close_stops_where_the_contract_is_broken_and_goes_on_where_it_was(case:
 
 def test_a_healthy_robot_keeps_its_policy(case: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its own simulator's log had ended in a page that asks for a look: `no_gap names nothing`."""
-    import realsim as rs
-    from realsim.results import GapVerdict
-
     found = SimpleNamespace(verdict=GapVerdict("no_gap"), sentence="No gap.", causes=())
     monkeypatch.setattr(rs, "diagnose", lambda *_, **__: found)
     said = close(case, TrainConfig(), base_of("quadruped"), "boxes:0.2:1", tmp_path)
@@ -225,11 +225,6 @@ def test_a_healthy_robot_keeps_its_policy(case: Path, tmp_path: Path, monkeypatc
 @pytest.mark.slow
 def test_close_fine_tunes_for_what_the_log_shows(case: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The whole loop on the quadruped, with a diagnosis of weak motors that is given: one iteration, a few trials."""
-    import realsim as rs
-    from realsim.results import GapVerdict
-    from trainer.ppo.config import LoopConfig, PPOConfig
-    from trainer.trainers import ppo
-
     cause = {
         "effect": "motor_gain", "joints": [], "bodies": [],
         "parameters": {"ratio": {"value": 0.9, "unit": "", "ci90": [0.88, 0.92]}},

@@ -13,6 +13,7 @@ from tests.trainer.fakes import BoxCaster, FakePhysics, course, quadruped, walk
 from tests.trainer.task_env import QUIET, outcome
 from trainer.errors import TrainerError
 from trainer.evaluate import EvaluationConfig, Setting, evaluate, run, summarise, trial_config, wilson
+from trainer.physics import PhysicsConfig
 from trainer.replay import record, write
 from trainer.tasks.parkour import ParkourConfig, ParkourEnv, make
 from trainer.tasks.parkour.config import DepthConfig, ResetConfig, TerminationConfig
@@ -121,8 +122,6 @@ def test_the_real_engine_stands_on_flat_and_generated_ground(small):
 def test_no_gpu_is_said(small):
     if torch.cuda.is_available():
         pytest.skip("there is a GPU")
-    from trainer.physics import PhysicsConfig
-
     with pytest.raises(TrainerError, match="no such CUDA device"):
         make(small.task, [flat()], robot="quadruped", physics=PhysicsConfig(device="cuda:0"))
 

@@ -8,6 +8,7 @@ import pytest
 from realsim.cli.command_line import main
 from tests import pages
 from tests.trainer import histories
+from trainer.report import read_runs, replays
 
 
 @pytest.fixture(scope="module")
@@ -60,8 +61,6 @@ def test_a_run_of_the_trainer(run: Path, tmp_path: Path, capsys: pytest.CaptureF
 
 
 def test_rendered_trials(run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from trainer.report import replays
-
     drawn = []
 
     def video(recording, robot, terrain, path, **_):
@@ -80,8 +79,6 @@ def test_rendered_trials(run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 
 def _runs(*folders: Path):
-    from trainer.report import read_runs
-
     return read_runs(folders)
 
 

@@ -7,7 +7,10 @@ import pytest
 from realsim.core.geometry import quat_to_R
 from realsim.robots import ROBOTS as DESCRIBED
 from realsim.robots import Robot
+from trainer import robots, terrain
+from trainer.physics import ENGINES, PhysicsConfig
 from trainer.robots import ROBOTS, TrainedRobot
+from trainer.tasks.parkour.gap import _nominal_friction
 
 
 @pytest.fixture(scope="module", params=list(ROBOTS))
@@ -124,10 +127,6 @@ def test_a_robot_of_ones_own_keeps_its_masses_its_shell_and_its_friction() -> No
     coefficient."""
     import torch
 
-    from trainer import terrain
-    from trainer.physics import ENGINES, PhysicsConfig
-    from trainer.tasks.parkour.gap import _nominal_friction
-
     robot = dog()
     physics = ENGINES["mujoco"](robot, [terrain.flat()], 1, PhysicsConfig(threads=1))
     for _ in range(50):
@@ -139,10 +138,7 @@ def test_a_robot_of_ones_own_keeps_its_masses_its_shell_and_its_friction() -> No
 
 
 def test_installed_packages_add_robots(monkeypatch: pytest.MonkeyPatch) -> None:
-    import importlib
     import importlib.metadata
-
-    from trainer import robots
 
     point = importlib.metadata.EntryPoint("dog", "tests.trainer.test_robots:dog", "realsim.robots")
     known = importlib.metadata.entry_points

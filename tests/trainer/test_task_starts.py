@@ -10,6 +10,8 @@ from tests.trainer.task_env import QUIET, env_of, still
 from trainer.physics import PhysicsConfig
 from trainer.tasks.parkour import make
 from trainer.tasks.parkour.config import DepthConfig, ResetConfig
+from trainer.tasks.parkour.tally import Tally
+from trainer.tasks.parkour.terminations import OUTCOMES, SUCCESS
 from trainer.terrain import generate
 
 
@@ -52,12 +54,9 @@ def test_stances_have_all_of_both_soles_on_one_level():
 def test_figures_of_each_family_are_logged_by_themselves():
     terrains = [replace(generate(f, 0.2, 1), name=f) for f in ("boxes", "wedges")]
     env = env_of(replace(QUIET, log_every=1), worlds=4, terrain=terrains[0])
-    from trainer.tasks.parkour.tally import Tally
 
     tally = Tally(env.rewards.names, [t.family for t in terrains], 4, torch.device("cpu"))
     ids = torch.tensor([0, 0, 1, 1])
-    from trainer.tasks.parkour.terminations import OUTCOMES, SUCCESS
-
     outcome = torch.tensor([SUCCESS, OUTCOMES.index("ground"), 0, OUTCOMES.index("tilt")])
     covered = torch.tensor([1.0, 0.5, 0.9, 0.1])
     waiting = torch.tensor([True, False, False, False])

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 import torch
@@ -60,8 +61,6 @@ def test_a_mark_is_turned_with_its_platform():
 
 
 def test_a_replay_draws_what_a_scene_collides_with():
-    import mujoco
-
     spec = mujoco.MjSpec()
     spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.1, 0.2, 0.3], group=3)
     model = scene_model(quadruped(), replace(course(), contact=spec), (64, 64))
@@ -71,8 +70,6 @@ def test_a_replay_draws_what_a_scene_collides_with():
 
 
 def test_a_scaled_scene_collides_where_its_mesh_is():
-    import mujoco
-
     spec = mujoco.MjSpec()
     corners = np.array([[x, y, z] for x in (0, 0.4) for y in (0, 0.3) for z in (0, 0.2)])
     spec.add_mesh(name="part", uservert=corners.ravel())

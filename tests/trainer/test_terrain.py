@@ -3,8 +3,10 @@
 import json
 from itertools import pairwise
 
+import mujoco
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -116,9 +118,6 @@ def test_flat_ground_has_no_edges_and_forgives_touching_it():
 @pytest.fixture
 def scene(tmp_path):
     """A scene as `realsim reconstruct` lays it out: two platforms, a scanned scrap of ground, one drawn mesh."""
-    import mujoco
-    import trimesh
-
     spec = mujoco.MjSpec()
     add = spec.worldbody.add_geom
     add(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], pos=[0, 0, -0.3])

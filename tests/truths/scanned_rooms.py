@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from realsim.core.types import MeshQuality, TerrainMesh
 
@@ -102,7 +103,6 @@ def _made(
         voxel: metres. uneven: metres RMS that the surface is off. noise: metres of noise that the mesh states.
         seen: share of the surface that was seen.
     """
-    from scipy import ndimage
     from skimage.measure import marching_cubes
 
     air = list(air)

@@ -13,6 +13,7 @@ import pytest
 from realsim.core.errors import GapError
 from realsim.gap import load_case
 from realsim.gap.recordings import READERS, load_target, propose, read, write_case
+from tests.gap.real_logs import legs
 
 from . import writers
 from .robots import ARM, QUADRUPED, Log, drive, save
@@ -351,8 +352,6 @@ def test_measured_and_desired_halves_are_one_run(arm: Log, tmp_path: Path) -> No
 
 def test_real_logs_as_they_are(shared: Callable[[str], Path], tmp_path: Path) -> None:
     """Logs of real robots, in the layouts of their authors: the quadruped's arrays name their joints."""
-    from tests.gap.real_logs import legs
-
     logs = shared("real_logs")
     model = legs(logs, tmp_path / "ready") / "model.xml"
     proposal = propose(read(logs / "iit_go2" / "traj_0.npz"), load_target(model))

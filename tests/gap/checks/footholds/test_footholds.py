@@ -6,6 +6,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 import realsim as rs
 from realsim.cli.command_line import main
@@ -13,6 +14,7 @@ from realsim.core.errors import GapError, RealsimError
 from realsim.gap.case.case import load_case
 from realsim.gap.checks.camera.mixed import fit
 from realsim.gap.checks.camera.terrain import CELL, load_terrain
+from realsim.gap.checks.footholds.run import check_scene
 from realsim.gap.checks.footholds.touches import Part, clearance
 from tests.truths.crossings import Truth, make_case
 
@@ -57,8 +59,6 @@ def test_nothing_is_named_where_nothing_was_changed(tmp_path: Path) -> None:
 
 
 def test_a_log_in_another_frame_is_refused(lowered: Path) -> None:
-    from realsim.gap.checks.footholds.run import check_scene
-
     case = load_case(lowered / "case")
     runs = tuple(r.where(slice(None)) for r in case.runs[:2])
     for run in runs:
@@ -69,8 +69,6 @@ def test_a_log_in_another_frame_is_refused(lowered: Path) -> None:
 
 
 def test_a_log_without_contacts_says_what_is_missing(lowered: Path) -> None:
-    from realsim.gap.checks.footholds.run import check_scene
-
     case = load_case(lowered / "case")
     runs = tuple(r.where(slice(None)) for r in case.runs[:1])
     del runs[0].signals["contact"]
@@ -131,8 +129,6 @@ def test_the_model_of_contacts_is_not_led_by_a_few_that_err() -> None:
 @pytest.mark.parametrize("value", [0.0, 0.05])
 def test_evidence_is_the_ratio_of_two_likelihoods(value: float) -> None:
     """One observation of one parameter: N(y; 0, wide) over N(y; 0, narrow), in closed form."""
-    from scipy.stats import norm
-
     found = fit(np.ones((1, 1)), np.array([value]), np.zeros(1, int), np.array([0.01]), (0.004, 0.002), robust=False)
     size = np.hypot(found.group_size, found.noise)
     want = norm.logpdf(value, 0, np.hypot(0.1, size)) - norm.logpdf(value, 0, np.hypot(0.01, size))
