@@ -1,7 +1,9 @@
 """A policy as ONNX: one file that a robot can run, with all that it must know about it in the metadata."""
 
+import io
 import json
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -14,7 +16,6 @@ from realsim.core.files import write_bytes
 from realsim.core.onnx_file import open_network, open_session
 from trainer.errors import TrainerError
 from trainer.ppo.config import NetworkConfig
-from trainer.ppo.graph import written
 from trainer.ppo.metadata import Deployment, check_graph, check_network, read_metadata
 from trainer.ppo.networks import Critic
 from trainer.ppo.policy import Policy
@@ -22,6 +23,8 @@ from trainer.robots import TrainedRobot
 from trainer.tasks import ObservationLayout
 
 KEY, VERSION = "realsim", 1
+OPSET = 18
+"""What runtimes have read since 2023."""
 EXPORTED = "`realsim finetune` and `realsim pretrain` write policy.onnx beside policy.pt"
 TOLERANCE = 1e-5
 """Largest difference between torch and the runtime that an export may have, of actions of order one."""
@@ -66,11 +69,11 @@ def export(path: Path, policy: Policy, facts: Deployment, checks: int = 64) -> f
     extra("onnx", "train", "exporting a policy to ONNX")
     actor = policy.actor.to("cpu").eval()
     vector, depth = _examples(policy.layout, checks)
-    data = _annotated(written(actor, {"vector": vector, "depth": depth}, "action"), facts)
+    given = {"vector": vector} if depth is None else {"vector": vector, "depth": depth}
+    data = _annotated(_written(path, actor, (vector, depth), given), facts)
     with torch.no_grad():
         expected = actor(vector, depth).numpy()
-    inputs = {name: value.numpy() for name, value in (("vector", vector), ("depth", depth)) if value is not None}
-    (found,) = open_session(path, data).run(None, inputs)
+    (found,) = open_session(path, data).run(None, {name: value.numpy() for name, value in given.items()})
     error = float(np.abs(found - expected).max() / max(1.0, float(np.abs(expected).max())))
     if not error <= TOLERANCE:
         raise TrainerError(
@@ -157,7 +160,28 @@ def _examples(layout: ObservationLayout, rows: int) -> tuple[torch.Tensor, torch
     return vector, None if layout.depth is None else torch.rand(rows, *layout.depth, generator=rng)
 
 
-def _annotated(model: Any, facts: Deployment) -> bytes:
+def _written(path: Path, actor: torch.nn.Module, inputs: tuple[Any, ...], names: Mapping[str, Any]) -> bytes:
+    """The network as ONNX for any number of rows, by the exporter of torch that needs no further package."""
+    data = io.BytesIO()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # that there is another exporter
+            torch.onnx.export(
+                actor, inputs, data, input_names=[*names], output_names=["action"], opset_version=OPSET,
+                dynamic_axes={name: {0: "batch"} for name in (*names, "action")}, dynamo=False,
+            )  # fmt: skip
+    except (RuntimeError, ValueError) as error:
+        raise TrainerError(
+            "the policy cannot be written as ONNX",
+            file=path,
+            expected="a network of operations that torch.onnx has",
+            found=str(error).partition("\n")[0],
+        ) from error
+    return data.getvalue()
+
+
+def _annotated(data: bytes, facts: Deployment) -> bytes:
+    model = extra("onnx", "train", "exporting a policy to ONNX").load_model_from_string(data)
     entry = model.metadata_props.add()
     entry.key, entry.value = KEY, json.dumps({"version": VERSION, **asdict(facts)})
     return model.SerializeToString()
