@@ -2,9 +2,10 @@
 
 from collections import Counter
 from dataclasses import dataclass
-from math import comb
 from statistics import median
 from typing import Any
+
+from scipy.stats import fisher_exact
 
 from trainer.config import Evaluation
 
@@ -42,7 +43,7 @@ class Verdict:
 def judge(before: Evaluation, after: Evaluation) -> Verdict:
     """The verdict on trials of a base and of what was made of it; on several terrains their successes are added."""
     (won_a, of_a), (won_b, of_b) = (_total(e) for e in (before, after))
-    p = fisher(won_b, of_b, won_a, of_a)
+    p = float(fisher_exact([[won_b, of_b - won_b], [won_a, of_a - won_a]], alternative="greater").pvalue)
     better = p < CHANCE
     rates = f"{won_b / of_b:.1%} after, {won_a / of_a:.1%} before"
     if better:
@@ -51,13 +52,6 @@ def judge(before: Evaluation, after: Evaluation) -> Verdict:
         text = f"the base, unchanged: training did not beat it beyond chance ({rates}; p {p:.2g}, wanted < {CHANCE:g})"
     best = after if better else before
     return Verdict(better, p, text, tuple(_failures(best)), tuple(_advice(before, after, better)))
-
-
-def fisher(won: int, trials: int, base_won: int, base_trials: int) -> float:
-    """Chance of at least `won` successes in `trials` if both rates are equal (Fisher 1935), all successes given."""
-    total, all_won = trials + base_trials, won + base_won
-    ways = comb(total, all_won)
-    return sum(comb(trials, k) * comb(base_trials, all_won - k) for k in range(won, min(trials, all_won) + 1)) / ways
 
 
 def _total(evaluation: Evaluation) -> tuple[int, int]:

@@ -39,8 +39,6 @@ class Face:
     """m^2 with points on it."""
     looks: float
     """Sum of the points' weights: how much the capture looked at it."""
-    rectangle: bool
-    """Whether the outline is a fitted rectangle."""
     inferred: bool = False
     """Whether its top was not seen, or only in part: its outline follows from a flight of stairs."""
 
@@ -111,7 +109,7 @@ def _face(points: Cloud, inferred: F64 | None = None) -> Face:
     if inferred is not None:
         outline = _counter_clockwise(inferred)
         area, centroid = polygon_area_centroid(outline)
-        return Face(np.zeros(2), float(np.median(xyz[:, 2])), outline, centroid, area, seen, looks, False, True)
+        return Face(np.zeros(2), float(np.median(xyz[:, 2])), outline, centroid, area, seen, looks, True)
     A = np.column_stack([xyz[:, :2], np.ones(len(xyz))])
     slope_x, slope_y, height = np.linalg.lstsq(A, xyz[:, 2], rcond=None)[0]
     hull = cv2.convexHull(xyz[:, :2].astype(np.float32))[:, 0].astype(np.float64)
@@ -120,7 +118,7 @@ def _face(points: Cloud, inferred: F64 | None = None) -> Face:
     outline = _counter_clockwise(box if rectangle else hull)
     area, centroid = polygon_area_centroid(outline)
     slope = np.array([slope_x, slope_y])
-    return Face(slope, float(slope @ centroid + height), outline, centroid, area, seen, looks, rectangle)
+    return Face(slope, float(slope @ centroid + height), outline, centroid, area, seen, looks)
 
 
 def _counter_clockwise(outline: F64) -> F64:

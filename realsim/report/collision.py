@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from realsim.core.meshes import across, height_field, merged
+from realsim.core.meshes import across, edges_of, height_field, merged
 from realsim.core.types import F64
 from realsim.report.solids import Solid, box, mesh, solids
 
@@ -58,16 +58,12 @@ def sharp_edges(V: F64, F: Any, degrees: float = 20.0) -> Any:
     """(E, 2) edges between faces that meet at more than this angle, and edges of one face only."""
     normals = across(V, F)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-18)
-    edges = np.sort(F[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    face = np.repeat(np.arange(len(F)), 3)
-    order = np.lexsort((edges[:, 1], edges[:, 0]))
-    edges, face = edges[order], face[order]
-    twin = np.r_[np.all(edges[1:] == edges[:-1], axis=1), False]
-    second = np.r_[False, twin[:-1]]
-    flat = np.zeros(len(edges), bool)
-    k = np.flatnonzero(twin)
-    flat[k] = np.einsum("ij,ij->i", normals[face[k]], normals[face[k + 1]]) > np.cos(np.radians(degrees))
-    return edges[~second & ~flat]
+    edges = edges_of(F)
+    shared = np.flatnonzero(edges.uses > 1)
+    one, other = (normals[edges.order[edges.first[shared] + k] // 3] for k in (0, 1))
+    flat = np.zeros(len(edges.uses), bool)
+    flat[shared] = np.einsum("ij,ij->i", one, other) > np.cos(np.radians(degrees))
+    return np.sort(edges.runs[edges.order[edges.first]], axis=1)[~flat]
 
 
 DRAWN_NODES = 200_000

@@ -1,5 +1,6 @@
 """A camera in a walking person's hands, and what a stereo depth sensor makes of true depth."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -52,12 +53,16 @@ def drift(count: int, metres: float, rng: np.random.Generator) -> F64:
     return np.stack([make_T(exp_so3(turn * w[3:]), metres * w[:3]) for w in wander])
 
 
-def follow_route(eyes: F64, aims: F64, count: int, rng: np.random.Generator) -> F64:
+SWAY = (0.03, 0.03, 0.03, 0.05, 0.05, 0.04, 0.04)
+"""Metres of the eye (3) and of the point looked at (3), and radians of roll, by which a hand sways."""
+
+
+def follow_route(eyes: F64, aims: F64, count: int, rng: np.random.Generator, amplitudes: Sequence[float] = SWAY) -> F64:
     """(count, 4, 4) poses along a way (K, 3) with the points (K, 3) looked at; the hand sways a little."""
     at = np.r_[0, np.cumsum(np.linalg.norm(np.diff(eyes, axis=0), axis=1))]
     s = np.linspace(0, 1, count)
     eye, aim = (PchipInterpolator(at / at[-1], points)(s) for points in (eyes, aims))
-    sway = np.stack([_sway(rng, s, a) for a in (0.03, 0.03, 0.03, 0.05, 0.05, 0.04, 0.04)], 1)
+    sway = np.stack([_sway(rng, s, a) for a in amplitudes], 1)
     return np.stack([look_at(eye[i] + sway[i, :3], aim[i] + sway[i, 3:6], sway[i, 6]) for i in range(count)])
 
 
@@ -95,16 +100,7 @@ def walk(bounds: F64, count: int, rng: np.random.Generator, *, both_sides: bool 
         aims.append((high[0] - 0.3 * length, 0.0, -0.2))
         eyes += [(low[0] + a * length, left, height) for a in along[::-1]]
         aims += [(low[0] + max(a - 0.09, 0.0) * length, 0.0, -0.2) for a in along[::-1]]
-    s = np.linspace(0, 1, count)
-    at = np.r_[0, np.cumsum(np.linalg.norm(np.diff(np.array(eyes), axis=0), axis=1))]
-    eye, aim = (PchipInterpolator(at / at[-1], np.array(points))(s) for points in (eyes, aims))
-    sway = [_sway(rng, s, amplitude) for amplitude in (0.03, 0.03, 0.035, 0.06, 0.05, 0.04, 0.05)]
-    return np.stack(
-        [
-            look_at(eye[i] + [sway[k][i] for k in range(3)], aim[i] + [sway[3 + k][i] for k in range(3)], sway[6][i])
-            for i in range(count)
-        ]
-    )
+    return follow_route(np.array(eyes), np.array(aims), count, rng, (0.03, 0.03, 0.035, 0.06, 0.05, 0.04, 0.05))
 
 
 def _sway(rng: np.random.Generator, s: F64, amplitude: float) -> F64:

@@ -11,21 +11,13 @@ from trainer.evaluate import Evaluation, EvaluationConfig, Result
 from trainer.ppo import checkpoint, policy
 from trainer.ppo.config import LoopConfig, StrategyConfig
 from trainer.ppo.loop import train
-from trainer.verdict import fisher, judge
+from trainer.verdict import judge
 
 
 def trials(won: int, of: int = 100, cause: str = "ground") -> Evaluation:
     where = ({"from_m": 1.0, "to_m": 1.25, cause: of - won},) if won < of else ()
     result = Result("beams", "trained", of, won, (0.0, 1.0), {cause: of - won}, where, (), None, 0.5, 0)
     return Evaluation((result,), EvaluationConfig(trials=of))
-
-
-@pytest.mark.parametrize(("after", "before", "n"), [(12, 4, 30), (97, 90, 100), (3, 30, 100), (0, 0, 50), (50, 50, 50)])
-def test_the_test_is_fishers(after: int, before: int, n: int) -> None:
-    from scipy.stats import fisher_exact  # takes a second to import
-
-    expected = fisher_exact([[after, n - after], [before, n - before]], alternative="greater").pvalue
-    assert fisher(after, n, before, n) == pytest.approx(expected)
 
 
 def test_only_what_beats_the_base_beyond_chance_is_delivered() -> None:

@@ -47,12 +47,10 @@ class Frames:
         self.first = torch.zeros(worlds, dtype=torch.long, device=device)  # row of the running episode's first frame
         self.firsts = torch.zeros(steps, worlds, dtype=torch.long, device=device)
         self.back = torch.arange(self.count, device=device) * self.stride
-        self.ready = False
 
     def restart(self) -> None:
         """All worlds begin anew at the next step."""
         self.first.fill_(self.past)
-        self.ready = True
 
     def add(self, step: Row, stack: Tensor) -> None:
         """Keep what is new in the stacks (N, M, H, W) of this step."""
