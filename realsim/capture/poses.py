@@ -30,7 +30,6 @@ MENDABLE = 0.05
 class PoseReport:
     """The checked poses of a capture, with notes."""
 
-    given: int
     mended: int
     """Rotations that were off by more than rounding and were replaced by the nearest rotation."""
     worst_deviation: float
@@ -161,9 +160,8 @@ def settle_poses(capture: FrameSet, reach: float) -> tuple[FrameSet, PoseReport]
         PoseError: poses are given and none can be used (then they are of a kind that this toolkit does not know, and
             going on without them has to be requested).
     """
-    given = sum(f.T_world_camera is not None for f in capture.frames)
-    if given == 0:
-        return capture, PoseReport(0, 0, 0.0)
+    if all(f.T_world_camera is None for f in capture.frames):
+        return capture, PoseReport(0, 0.0)
     kept: list[Frame] = []
     dropped: list[Dropped] = []
     deviations: list[float] = []
@@ -188,7 +186,7 @@ def settle_poses(capture: FrameSet, reach: float) -> tuple[FrameSet, PoseReport]
             hint="fix the poses, or pass --ignore-poses to have them estimated",
         )
     mended = sum(d > ROUNDING for d in deviations)
-    report = PoseReport(given, mended, max(deviations))
+    report = PoseReport(mended, max(deviations))
     assumptions = capture.assumptions
     if mended:
         assumptions += (
