@@ -64,13 +64,15 @@ class Store:
 
 def described_run() -> dict[str, Any]:
     """What a run is made with: machine, its load before the start, versions, commit."""
+    # The GPU that this process computes on, if it has requested one.
+    torch = sys.modules.get("torch")
     return {
         "cpu": _cpu(),
         "cores": os.cpu_count(),
         "load_before": round(os.getloadavg()[0], 2),
         "system": platform.system(),
         "commit": os.environ.get("REALSIM_COMMIT") or _commit(),
-        **_gpu(),
+        **({"gpu": torch.cuda.get_device_name()} if torch is not None and torch.cuda.is_available() else {}),
         "versions": versions(),
     }
 
@@ -81,12 +83,6 @@ def _cpu() -> str:
     except OSError:
         return platform.processor()
     return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), platform.machine())
-
-
-def _gpu() -> dict[str, str]:
-    """The GPU that this process computes on, if it has requested one."""
-    torch = sys.modules.get("torch")
-    return {"gpu": torch.cuda.get_device_name()} if torch is not None and torch.cuda.is_available() else {}
 
 
 def _commit() -> str | None:

@@ -158,14 +158,6 @@ def row(case: Case, representation: str, say: Say) -> None:
     say(dict(measure(spec_of(contact), Reference(*case.truth), case.truth_z).figures))
 
 
-def as_chosen(case: Case, representation: str, auto_row: Row, say: Say) -> None:
-    """The row of what `auto` chose: its figures, and its own time to build."""
-    began = time.process_time()
-    REPRESENTATIONS[representation](case.mesh, case.ground_z)
-    kept = {k: v for k, v in auto_row.items() if k not in ("chosen", "representation")}
-    say(kept | {"build_cpu_seconds": round(time.process_time() - began, 2)})
-
-
 def limited(seconds: int, case: Case, representation: str, chosen: Row | None) -> Row:
     """A row, made in a process of its own that may take `seconds` of processor time.
 
@@ -196,7 +188,11 @@ def _in_child(pipe: Connection, seconds: int, case: Case, representation: str, c
     if chosen is None:
         row(case, representation, pipe.send)
     else:
-        as_chosen(case, representation, chosen, pipe.send)
+        # The row of what `auto` chose: its figures, and its own time to build.
+        began = time.process_time()
+        REPRESENTATIONS[representation](case.mesh, case.ground_z)
+        kept = {k: v for k, v in chosen.items() if k not in ("chosen", "representation")}
+        pipe.send(kept | {"build_cpu_seconds": round(time.process_time() - began, 2)})
 
 
 def line(r: Row) -> str:

@@ -43,7 +43,10 @@ def render(T_world_camera: NDArray, camera: Intrinsics) -> tuple[NDArray, NDArra
         nearer = valid & (s < depth)
         depth[nearer], hits[nearer] = s[nearer], point[nearer]
     depth[~np.isfinite(depth)] = 0
-    return depth, _texture(hits)
+    # Reproducible noise over the floor, smooth over about a pixel, so that views overlap in colour too.
+    noise = np.random.default_rng(5).integers(0, 256, (64, 64, 3), dtype=np.uint8)
+    cell = np.floor(hits[..., :2] / 0.04).astype(int) % 64
+    return depth, noise[cell[..., 0], cell[..., 1]]
 
 
 def _view(i: int, camera: Intrinsics) -> View:
@@ -56,10 +59,3 @@ def _view(i: int, camera: Intrinsics) -> View:
     depth, color = render(T, camera)
     depth[:6, : 6 + i] = 0
     return View(T, depth, color, START_TIME + PERIOD * i)
-
-
-def _texture(points: NDArray) -> NDArray:
-    """Reproducible noise over the floor, smooth over about a pixel, so that views overlap in colour too."""
-    noise = np.random.default_rng(5).integers(0, 256, (64, 64, 3), dtype=np.uint8)
-    cell = np.floor(points[..., :2] / 0.04).astype(int) % 64
-    return noise[cell[..., 0], cell[..., 1]]

@@ -147,17 +147,13 @@ def test_delay_in_the_xml_is_the_delay_of_the_simulator(arm: Simulator) -> None:
     nominal = moved(arm.case.model, arm.case)
     assert np.abs(delayed[: steps + 2] - nominal[: steps + 2]).max() < 2e-3
     # The command starts at zero, so a delayed command is the same motion later; gravity alone moves it before.
-    free = moved_by_zero(arm)
-    np.testing.assert_allclose(delayed[:steps, :2], free[:steps], atol=1e-4)
-
-
-def moved_by_zero(arm: Simulator) -> Any:
     data = mujoco.MjData(arm.case.model)
     path = []
     for _ in range(20):
         mujoco.mj_step(arm.case.model, data)
         path.append([data.qpos[arm.case.model.joint(j).qposadr[0]] for j in arm.case.joint_names])
-    return np.array(path)
+    free = np.array(path)
+    np.testing.assert_allclose(delayed[:steps, :2], free[:steps], atol=1e-4)
 
 
 def test_a_passing_force_stays_a_wrapper(arm: Simulator) -> None:

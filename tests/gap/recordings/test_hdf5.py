@@ -84,22 +84,18 @@ def test_matlab_since_7_3_is_hdf5(tmp_path: Path) -> None:
     check(recording, "q", "u", "t")
 
 
-def leads_away(file: object, how: str) -> None:
-    if how == "link":
-        file["q"] = h5py.ExternalLink("other.h5", "/q")
-    elif how == "values":
-        file.create_dataset("q", (60, 2), "f8", external=[("other.bin", 0, 960)])
-    else:
-        layout = h5py.VirtualLayout((60, 2), "f8")
-        layout[:] = h5py.VirtualSource("other.h5", "q", (60, 2))
-        file.create_virtual_dataset("q", layout)
-
-
 @pytest.mark.parametrize("how", ["link", "values", "virtual"])
 def test_what_lies_in_other_files_is_refused(how: str, tmp_path: Path) -> None:
     with h5py.File(tmp_path / "log.h5", "w") as file:
         file["action"] = COMMAND
-        leads_away(file, how)
+        if how == "link":
+            file["q"] = h5py.ExternalLink("other.h5", "/q")
+        elif how == "values":
+            file.create_dataset("q", (60, 2), "f8", external=[("other.bin", 0, 960)])
+        else:
+            layout = h5py.VirtualLayout((60, 2), "f8")
+            layout[:] = h5py.VirtualSource("other.h5", "q", (60, 2))
+            file.create_virtual_dataset("q", layout)
     with pytest.raises(RealsimError, match="refers to another file"):
         hdf5.read(tmp_path / "log.h5")
 

@@ -28,20 +28,16 @@ def _scene(folder: Path, **changes: object) -> Path:
     return folder
 
 
-def _saved(log: Log, folder: Path) -> Path:
-    """The walk as it is in the world of the capture: what the scene's frame makes of it is the walk itself."""
-    assert log.place is not None
-    assert log.quat is not None
-    there = (log.place - SHIFT) @ TURN.as_matrix() / SCALE
-    turned = (TURN.inv() * Rotation.from_quat(log.quat, scalar_first=True)).as_quat(scalar_first=True)
-    path = folder / "walk.npz"
-    np.savez(path, time=log.time, q=log.pos, q_des=log.command, base_pos=there, base_quat=turned)
-    return path
-
-
 def test_a_log_in_the_captures_world_is_put_into_the_scene(quadruped: Log, tmp_path: Path) -> None:
     model, scene = save(tmp_path, QUADRUPED), _scene(tmp_path / "scene")
-    walk, out = _saved(quadruped, tmp_path), tmp_path / "case"
+    # The walk as it is in the world of the capture: what the scene's frame makes of it is the walk itself.
+    assert quadruped.place is not None
+    assert quadruped.quat is not None
+    there = (quadruped.place - SHIFT) @ TURN.as_matrix() / SCALE
+    turned = (TURN.inv() * Rotation.from_quat(quadruped.quat, scalar_first=True)).as_quat(scalar_first=True)
+    path = tmp_path / "walk.npz"
+    np.savez(path, time=quadruped.time, q=quadruped.pos, q_des=quadruped.command, base_pos=there, base_quat=turned)
+    walk, out = path, tmp_path / "case"
     arguments = ["log", str(walk), "--model", str(model), "--out", str(out), "--use", "base_quat=base_quat"]
     assert main([*arguments, "--scene", str(scene / "scene.xml")]) == 0
     run = load_case(out).runs[0]

@@ -5,10 +5,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 
-def _zeros(n: int) -> np.ndarray:
-    return np.zeros(n)
-
-
 @dataclass
 class Truth:
     """The true robot's deviations. Arrays are (J,), in the order of the robot's joints; neutral by default."""
@@ -79,4 +75,4 @@ class Truth:
         for name in ("torque_limit", "no_load_speed", "compliance"):
             setattr(self, name, np.full(n, np.inf))
         for name in ("coulomb", "viscous", "stribeck", "load_friction", "armature", "backlash", "encoder_zero"):
-            setattr(self, name, _zeros(n))
+            setattr(self, name, np.zeros(n))
