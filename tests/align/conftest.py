@@ -8,19 +8,11 @@ import pytest
 
 from realsim.core.geometry import exp_so3, make_T
 from realsim.core.types import F64, Frame, Intrinsics, MetricScene, PointView, ScaleEstimate
+from realsim.synth.camera import look_at
 
 CAMERA = Intrinsics(160, 120, 150.0, 150.0, 79.5, 59.5)
 Box = tuple[tuple[float, float, float], tuple[float, float, float], float]
 """Centre of the bottom (x, y, z), size (x, y, z), yaw."""
-
-
-def look(eye: F64, at: F64, roll: float = 0.0) -> F64:
-    """(4, 4) camera pose (OpenCV axes) with the image's upper side up, turned by `roll` radians about its view."""
-    z = (at - eye) / np.linalg.norm(at - eye)
-    x = np.cross(z, [0, 0, 1.0])
-    x /= np.linalg.norm(x)
-    R = np.stack([x, np.cross(z, x), z], axis=1)
-    return make_T(R @ exp_so3([0, 0, roll]), eye)
 
 
 def cast(T: F64, boxes: list[Box], floor: bool) -> F64:
@@ -109,7 +101,7 @@ def walk() -> Callable[..., list[F64]]:
         angle = np.linspace(np.pi, 3 * np.pi, count, endpoint=False)
         eyes = np.column_stack([1.2 + 2.4 * np.cos(angle), 0.15 + 1.5 * np.sin(angle), 1.3 + 0.1 * np.sin(3 * angle)])
         targets = np.column_stack([1.2 + 0.9 * np.cos(angle), 0.15 + 0.1 * np.sin(angle), np.full(count, 0.1)])
-        return [look(e, t, roll) for e, t in zip(eyes, targets, strict=True)]
+        return [look_at(e, t, roll) for e, t in zip(eyes, targets, strict=True)]
 
     return make
 

@@ -17,6 +17,7 @@ from realsim.feedforward.rgbd.features import Evidence, build_tracks, rigid_rans
 from realsim.feedforward.rgbd.hypotheses import BODY, FLIP, MIRROR, shift_poses
 from realsim.feedforward.rgbd.refine import RefineResult, refine
 from realsim.feedforward.rgbd.refine_adjust import initial_state
+from realsim.synth.camera import look_at
 
 CAMERA = Intrinsics(320, 240, 300.0, 300.0, 159.5, 119.5)
 NOISE = 0.0015
@@ -64,11 +65,7 @@ def truth() -> tuple[NDArray[np.float64], list[NDArray[np.float64]], list[NDArra
     for k in range(N):
         a = -1.9 + 1.0 * k / (N - 1)
         eye = np.array([0.3 + 1.8 * np.cos(a), 0.2 + 1.8 * np.sin(a), 1.1 + 0.25 * np.sin(2.1 * k)])
-        z = np.array([0.3, 0.1, 0.1]) - eye
-        z /= np.linalg.norm(z)
-        x = np.cross(z, [0, 0, 1.0])
-        x /= np.linalg.norm(x)
-        pose = make_T(np.column_stack([x, np.cross(z, x), z]) @ exp_so3([0, 0, 0.1 * np.sin(1.7 * k)]), eye)
+        pose = look_at(eye, np.array([0.3, 0.1, 0.1]), 0.1 * np.sin(1.7 * k))
         world = rays @ pose[:3, :3].T
         t = cast(eye, world)
         grey = np.where(np.isfinite(t), 128 + 40 * texture(eye + np.where(np.isfinite(t), t, 0)[:, None] * world), 0)

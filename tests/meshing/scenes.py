@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from realsim.core.geometry import invert_T, make_T, transform
+from realsim.core.geometry import invert_T, transform
 from realsim.core.types import AlignedScene, Frame, Gravity, Intrinsics, MetricScene, PointView, ScaleEstimate
+from realsim.synth.camera import look_at
 
 CAMERA = Intrinsics(160, 120, 150.0, 150.0, 79.5, 59.5)
 
@@ -60,10 +61,7 @@ def distance(shapes: Sequence[Box | Ball], points: np.ndarray) -> np.ndarray:
 
 def looking(eye: Sequence[float], at: Sequence[float]) -> np.ndarray:
     """Pose of a camera at `eye` that looks at `at`, its x axis level."""
-    z = np.subtract(at, eye) / np.linalg.norm(np.subtract(at, eye))
-    x = np.cross(z, [0, 0, 1.0])
-    x /= np.linalg.norm(x)
-    return make_T(np.stack([x, np.cross(z, x), z], 1), eye)
+    return look_at(np.array(eye, float), np.array(at, float))
 
 
 def scene(

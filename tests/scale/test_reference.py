@@ -10,6 +10,7 @@ from realsim.core.errors import ScaleError
 from realsim.core.types import Frame, Intrinsics, Pointmaps, PointView
 from realsim.scale import to_metric
 from realsim.scale.config import ScaleConfig
+from realsim.synth.camera import look_at
 
 CAMERA = Intrinsics(640, 480, 610.0, 610.0, 318.0, 243.0)
 TEXELS = {"tag": 1500.0, "a4": 2000.0, "letter": 40 / 0.0254, "nothing": 1500.0}
@@ -38,17 +39,6 @@ def floor_with(thing: str) -> np.ndarray:
     return image
 
 
-def look(eye: np.ndarray) -> np.ndarray:
-    """(4, 4) camera to world of an upright camera at `eye` that looks at the origin."""
-    forward = -eye / np.linalg.norm(eye)
-    right = np.cross(forward, [0, 0, 1.0])
-    right /= np.linalg.norm(right)
-    T = np.eye(4)
-    T[:3, :3] = np.column_stack([right, np.cross(forward, right), forward])
-    T[:3, 3] = eye
-    return T
-
-
 def capture(thing: str, off: float, count: int = 16, units: float = 1.0) -> Pointmaps:
     """Frames about the thing; depth is `off` times the truth with the noise of a RealSense, as are the pointmaps."""
     texture = floor_with(thing)
@@ -60,7 +50,8 @@ def capture(thing: str, off: float, count: int = 16, units: float = 1.0) -> Poin
         rng = np.random.default_rng([1, i])
         turn = 2 * np.pi * i / count
         away = rng.uniform(0.7, 1.1)
-        T = look(np.array([away * np.cos(turn), away * np.sin(turn), rng.uniform(0.7, 1.2)]))
+        eye = np.array([away * np.cos(turn), away * np.sin(turn), rng.uniform(0.7, 1.2)])
+        T = look_at(eye, np.zeros(3))
         R, t = T[:3, :3].T, -T[:3, :3].T @ T[:3, 3]
         H = K @ np.column_stack([R[:, 0], R[:, 1], t]) @ to_floor
         fine = np.diag([3.0, 3.0, 1.0]) @ H  # three times as fine, then averaged: pixels have an area

@@ -167,7 +167,8 @@ def _written(path: Path, actor: torch.nn.Module, inputs: tuple[Any, ...], names:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # that there is another exporter
             torch.onnx.export(
-                actor, inputs, data, input_names=[*names], output_names=["action"], opset_version=OPSET,
+                actor, inputs, data,  # type: ignore[arg-type] # this one takes a buffer
+                input_names=[*names], output_names=["action"], opset_version=OPSET,
                 dynamic_axes={name: {0: "batch"} for name in (*names, "action")}, dynamo=False,
             )  # fmt: skip
     except (RuntimeError, ValueError) as error:
