@@ -6,7 +6,6 @@ its place: `trainer.ppo.amp.StylePrior` takes any features.
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -83,7 +82,6 @@ class _Legs:
     """Inverse kinematics of the legs under a base that is fixed at the origin."""
 
     def __init__(self, robot: TrainedRobot) -> None:
-        self.mj: Any = mujoco
         self.model = robot.robot.spec.copy().compile()
         self.data = mujoco.MjData(self.model)
         joints = [self.model.joint(name) for name in robot.joints]
@@ -121,14 +119,14 @@ class _Legs:
     def _place(self, q: F64) -> None:
         self.data.qpos[:7] = [0, 0, 0, 1, 0, 0, 0]
         self.data.qpos[self.rows] = q
-        self.mj.mj_kinematics(self.model, self.data)
-        self.mj.mj_comPos(self.model, self.data)
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_comPos(self.model, self.data)
 
     def _task(self, target: F64) -> tuple[F64, F64]:
         errors, jacobians = [], []
         for body, wanted in zip(self.bodies, target, strict=True):
             position, rotation = np.zeros((3, self.model.nv)), np.zeros((3, self.model.nv))
-            self.mj.mj_jacBody(self.model, self.data, position, rotation, body)
+            mujoco.mj_jacBody(self.model, self.data, position, rotation, body)
             errors.append(wanted - self.data.xpos[body])
             jacobians.append(position[:, self.columns])
             if self.level:
