@@ -51,6 +51,12 @@ def vertex_normals(vertices: NDArray[Any], triangles: NDArray[Any]) -> NDArray[n
     return np.where(length > 1e-20, normals / np.maximum(length, 1e-20), [0.0, 0.0, 1.0])
 
 
+def runs(first: NDArray[Any], count: NDArray[Any]) -> NDArray[np.int64]:
+    """(sum of count,) indices of runs, one after the other: where each begins, and how many it has."""
+    ends = np.cumsum(count, dtype=np.int64)
+    return np.arange(ends[-1] if len(ends) else 0) + np.repeat(first + count - ends, count)
+
+
 def sampled(
     vertices: NDArray[Any], triangles: NDArray[Any], count: int, rng: np.random.Generator
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

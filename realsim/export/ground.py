@@ -92,8 +92,6 @@ def hidden_cm2(mesh: TerrainMesh, scene_xml: Path, ground: GroundLevel, noise: f
         low, high = mesh.vertices.min(0)[:2] + CELL, mesh.vertices.max(0)[:2] - CELL
         below &= ((points[:, :2] > low) & (points[:, :2] < high)).all(1)
     off = points[below] + 2 * BALL_RADIUS * normal[faces][of[below]]
-    if not len(off):
-        return 0.0
     off = off[~Reference(mesh.vertices, mesh.triangles).buried(off)]
     if not len(off):
         return 0.0

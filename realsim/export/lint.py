@@ -177,6 +177,5 @@ def _static(model: Any, path: Path) -> _Static:
 
 def _off_hull(vertices: F64, faces: NDArray[Any]) -> float:
     """Metres that a mesh's surface lies inside its hull at the farthest."""
-    planes = Polytope(vertices).planes
     points, _ = sampled(vertices, faces, SAMPLES, np.random.default_rng(0))
-    return float(-(points @ planes[:, :3].T + planes[:, 3]).max(1).min(initial=0.0))
+    return float(Polytope(vertices).depth(points).max(initial=0.0))

@@ -282,6 +282,8 @@ def _contact(result: Reconstruction) -> Iterator[Check]:
     """What a robot would feel against what the cameras saw."""
     for name, share, look, bad in shares(result.scene.contact):
         yield graded(name, share, look, bad, percent, advice=_TOUCH)
+    held = result.scene.contact.get("held", 0)
+    yield graded("Balls thrown onto it that stay between parts", held, 0, math.inf, "{:d}".format, advice=_TOUCH)
 
 
 def _physics(result: Reconstruction) -> Iterator[Check]:

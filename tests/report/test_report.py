@@ -207,12 +207,16 @@ def test_metres_that_no_depth_camera_is_off_by_are_rejected(tmp_path: Path, gain
 
 
 @pytest.mark.parametrize(
-    ("through", "off", "level"), [(0.0, 0.0, "good"), (0.1, 0.0, "look"), (0.99, 0.0, "bad"), (0.0, 0.2, "look")]
+    ("through", "off", "held", "level"),
+    [(0.0, 0.0, 0, "good"), (0.1, 0.0, 0, "look"), (0.99, 0.0, 0, "bad"), (0.0, 0.2, 0, "look"), (0.0, 0.0, 1, "look")],
 )
-def test_walls_that_are_not_there_are_rejected(tmp_path: Path, through: float, off: float, level: str) -> None:
+def test_walls_that_are_not_there_are_rejected_and_slots_are_looked_at(
+    tmp_path: Path, through: float, off: float, held: int, level: str
+) -> None:
     result = reconstruction(tmp_path)
     sides = {"rays": 500, "stopped": 1 - through, "through": through, "early": 0.0}
     contact = {**result.scene.contact, "sides": sides, "drop": {"phantom_share": off, "missing_share": 0.0}}
+    contact |= {"held": held}
     assert judge(replace(result, scene=replace(result.scene, contact=contact))).level == level
 
 

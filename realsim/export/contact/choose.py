@@ -1,5 +1,6 @@
 """Selects the representation: build, measure, and take the cheapest within tolerance."""
 
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -195,10 +196,7 @@ def _shares(fidelity: Fidelity) -> dict[str, float | None]:
 
 def count_types(contact: ContactModel) -> dict[str, int]:
     """{geom type: how many}."""
-    counts: dict[str, int] = {}
-    for geom in contact.geoms:
-        counts[geom.type] = counts.get(geom.type, 0) + 1
-    return counts
+    return dict(Counter(geom.type for geom in contact.geoms))
 
 
 def _unmet(contact: ContactModel, fidelity: Fidelity, tolerance: tuple[float, float], among: int) -> str:

@@ -183,7 +183,7 @@ def measured(
     figures = figures | _ball_figures(lowered, cell, over_gaps(lowered, reference, noise))
     yield Fidelity(figures, lowered)
     tick(0.4)
-    figures = figures | count_leaks(spec, reference, region.lower, region.upper, ground_z, seed=seed, noise=noise)
+    figures = figures | count_leaks(ball.sim, reference, region.lower, region.upper, ground_z, seed=seed, noise=noise)
     yield Fidelity(figures, lowered)
     tick(0.6)
     rng = np.random.default_rng(seed)
@@ -276,7 +276,7 @@ def _where_seen(touches: Touches, reference: Reference, ground_z: float) -> Touc
     """Without the balls under which nothing was measured: nobody knows what is right there. A floor that goes on is no
     phantom, and what a mesh was closed with may be absent. A lid over all of it, which no mesh has, still counts."""
     xy, z = touches.start[:, :2], touches.start[:, 2]
-    unknown = ~(np.abs(reference.seen_only().top(xy, z) - reference.top(xy, z)) < 1e-3)
+    unknown = ~(np.abs(reference.seen_only.top(xy, z) - reference.top(xy, z)) < 1e-3)
     on_floor = np.abs(touches.at[:, 2] - BALL_RADIUS - ground_z) < 0.001
     out = unknown & (on_floor | ~(touches.error > EDGE))
     return replace(touches, error=np.where(out, np.nan, touches.error), along=np.where(out, np.nan, touches.along))

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.core.meshes import across, used
-from realsim.export.contact.probe import Reference, terrain_only, triangles_of
+from realsim.export.contact.probe import Reference, SimTouch
 
 RADIUS = 0.01
 DEEP = 0.015  # metres inside a solid
@@ -20,7 +20,7 @@ LOOKS = 100  # times a second that a ball's place is noted
 
 
 def count_leaks(
-    spec: Any,
+    touch: SimTouch,
     reference: Reference,
     lower: NDArray[np.float64],
     upper: NDArray[np.float64],
@@ -38,7 +38,7 @@ def count_leaks(
     each other, is held.
 
     Args:
-        spec: `MjSpec` of the terrain.
+        touch: anything against the terrain.
         lower, upper: (2,) rectangle over which they are thrown, metres.
         noise: metres that the reference itself may be off.
 
@@ -49,11 +49,11 @@ def count_leaks(
     import mujoco
 
     rng = np.random.default_rng(seed)
-    spec = terrain_only(spec)
+    spec = touch.spec.copy()
     spec.memory = 256 * 2**20
     top = float(reference.vertices[:, 2].max())
     xy = rng.uniform(lower, upper, (objects, 2))
-    on_edges = _on_edges(spec, lower, upper, objects // 2, rng)
+    on_edges = _on_edges(touch, lower, upper, objects // 2, rng)
     xy[: len(on_edges)] = on_edges
     begin = np.minimum(reference.start_above(xy, ground_z) - 2 * RADIUS, top + 0.05)
     begin = np.minimum(begin, np.nan_to_num(reference.top(xy, begin), nan=ground_z) + FALL)
@@ -82,7 +82,7 @@ def count_leaks(
     # An edge that is a few millimetres off lets a ball lie where there should be solid; that is counted as error, not
     # as a leak. Nor is one that is just bouncing: contacts are soft, and it is out again a moment later.
     below = ends[:, 2] < min(ground_z, extent[:, 2].min()) - 2 * RADIUS
-    inside = _entered(reference.seen_only(), np.array(path)) > 0
+    inside = _entered(reference.seen_only, np.array(path)) > 0
     held = inside.copy()
     for place, by in zip(path[-SETTLED:], overlap[-SETTLED:], strict=True):
         buried = reference.buried(place)
@@ -94,14 +94,14 @@ def count_leaks(
 
 
 def _on_edges(
-    spec: Any, lower: NDArray[np.float64], upper: NDArray[np.float64], count: int, rng: np.random.Generator
+    touch: SimTouch, lower: NDArray[np.float64], upper: NDArray[np.float64], count: int, rng: np.random.Generator
 ) -> NDArray[np.float64]:
     """(count, 2) places on edges of the geoms in a rectangle; none where there are no edges, or are everywhere."""
     import mujoco
 
-    if any(geom.type == mujoco.mjtGeom.mjGEOM_HFIELD for geom in spec.geoms):
+    if any(geom.type == mujoco.mjtGeom.mjGEOM_HFIELD for geom in touch.spec.geoms):
         return np.zeros((0, 2))
-    vertices, faces = triangles_of(spec)
+    vertices, faces = touch.triangles
     faces = faces[across(vertices, faces)[:, 2] > 0]
     faces = faces[:: 1 + len(faces) // MOST_EDGES]
     ends = vertices[faces[:, [0, 1, 1, 2, 2, 0]], :2].reshape(-1, 2, 2)

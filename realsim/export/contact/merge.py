@@ -64,8 +64,9 @@ class Whole:
         Args:
             others: geoms that are no parts: a floor.
         """
-        self.parts = parts + [Polytope.of_box(g) for g in others if g.type == "box"]
-        self.near = Neighbours(self.parts)
+        parts = parts + [Polytope.of_box(g) for g in others if g.type == "box"]
+        self.near = Neighbours(parts)
+        self.planes = [part.planes for part in parts]
         self.ground = max((g.pos[2] for g in others if g.type == "plane"), default=-np.inf)
 
     def holds(self, points: F64, margin: float, but: float = 0.0) -> bool:
@@ -95,8 +96,7 @@ class Whole:
         left = points[points[:, 2] > self.ground + margin]
         while len(near) and len(left) > most:
             some = 1 + AT_ONCE // len(left)
-            planes = [self.parts[k].planes for k in near[:some]]
-            left = left[(farthest(left, planes) > margin).all(0)]
+            left = left[(farthest(left, [self.planes[k] for k in near[:some].tolist()]) > margin).all(0)]
             near = near[some:]
         return left
 

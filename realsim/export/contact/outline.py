@@ -1,11 +1,16 @@
 """Outlines of regions on a grid, and their division into convex polygons."""
 
+import heapq
+import itertools
+
 import numpy as np
 from numpy.typing import NDArray
 
 from realsim.core.types import F64
 
 Edge = tuple[int, int]
+Line = tuple[F64, F64]  # a point and a unit direction
+PARALLEL = np.sin(np.radians(15))
 FARTHEST = 3.0  # tolerances
 SHORT = 7.0  # cells: shorter sides may be what is left of a corner
 AT_ONCE = 1_000_000  # pairs of a point and a side that are held at once: some 50 MB
@@ -38,61 +43,64 @@ def outlines(mask: NDArray[np.bool_], tolerance: float) -> list[F64]:
 
 def _fewest_corners(trace: F64, tolerance: float) -> F64:
     """The polygon with the fewest corners that stays near a traced ring; of several, the nearest."""
-    rings = [_simplify(trace, factor * tolerance) for factor in COARSER]
-    best, score = rings[0], (len(rings[0]), np.inf)
-    for ring in rings:
-        if len(ring) < 3:
-            continue
-        off = distance(trace, ring)
-        near = np.percentile(off, 90) < tolerance and off.max() < FARTHEST * tolerance
-        if near and (len(ring), off.mean()) < score:
-            best, score = ring, (len(ring), off.mean())
+    start = int(np.argmax(((trace - trace.mean(0)) ** 2).sum(1)))
+    closed = np.roll(trace, -start, axis=0)[[*range(len(trace)), 0]]
+    stays, fitted = _douglas_peucker(closed, COARSER[0] * tolerance), {}
+    rings = [_simplified(closed, stays, factor * tolerance, fitted) for factor in COARSER]
+    best, nearest = rings[0], np.inf
+    for ring in sorted(rings, key=len):
+        if len(ring) > len(best):
+            break
+        if len(ring) >= 3:
+            off = distance(trace, ring)
+            near = off.max() < FARTHEST * tolerance and np.percentile(off, 90) < tolerance
+            if near and off.mean() < nearest:
+                best, nearest = ring, off.mean()
     return best
 
 
-def _simplify(ring: F64, tolerance: float) -> F64:
+def _simplified(closed: F64, stays: F64, tolerance: float, fitted: dict[tuple[int, int], Line]) -> F64:
     """Douglas-Peucker from the two farthest points, then every side fitted to the points that it stands for, and
-    corners that were cut or rounded made sharp."""
-    start = int(np.argmax(((ring - ring.mean(0)) ** 2).sum(1)))
-    ring = np.roll(ring, -start, axis=0)
-    closed = np.concatenate([ring, ring[:1]])
-    place = _douglas_peucker(closed, tolerance)[:-1]
-    corners = closed[place]
+    corners that were cut or rounded made sharp.
+
+    Args:
+        stays: tolerances up to which each point of the closed ring stays. fitted: sides between two of them.
+    """
+    place = np.flatnonzero(stays > tolerance).tolist()
+    corners = closed[place[:-1]]
     if len(corners) < 3:
         return corners
-    lines = [_line(closed[a : b + 1]) for a, b in zip(place, [*place[1:], len(ring)], strict=True)]
-    corners, lines = _sharpen(ring, corners, lines, tolerance)
+    for side in itertools.pairwise(place):
+        if side not in fitted:
+            fitted[side] = _line(closed[side[0] : side[1] + 1])
+    lines = [fitted[side] for side in itertools.pairwise(place)]
+    corners, lines = _sharpen(closed[:-1], corners, lines, tolerance)
     out = []
     for k, corner in enumerate(corners):
         met = _meet(lines[k - 1], lines[k])
-        out.append(met if met is not None and np.linalg.norm(met - corner) < 2 * tolerance else corner)
+        out.append(met if met is not None and np.hypot(*(met - corner)) < 2 * tolerance else corner)
     return np.array(out)
 
 
-def _line(points: F64) -> tuple[F64, F64]:
-    """(point, direction) of the line that fits a piece of a trace best; its ends, where the trace cuts corners short,
-    do not count."""
+def _line(points: F64) -> Line:
+    """The line that fits a piece of a trace best; its ends, where the trace cuts corners short, do not count."""
     inner = points[2:-2] if len(points) > 8 else points
     middle = inner.mean(0)
-    if len(inner) < 2:
-        return middle, points[-1] - points[0]
     x, y = (inner - middle).T
     along = np.arctan2(2 * (x @ y), x @ x - y @ y) / 2  # of the larger principal axis
     return middle, np.array([np.cos(along), np.sin(along)])
 
 
-def _sharpen(
-    ring: F64, corners: F64, lines: list[tuple[F64, F64]], tolerance: float
-) -> tuple[F64, list[tuple[F64, F64]]]:
+def _sharpen(ring: F64, corners: F64, lines: list[Line], tolerance: float) -> tuple[F64, list[Line]]:
     """Leave out short sides whose neighbours, drawn on, meet near the traced ring: side k runs from corner k to
     k + 1. A mesh rounds its corners; the thing itself rarely does."""
     k = 0
     while k < len(corners) and len(corners) > 3:
         n = len(corners)
         after = (k + 1) % n
-        met = _meet(lines[k - 1], lines[after])
-        short = np.linalg.norm(corners[after] - corners[k]) < SHORT
-        if short and met is not None and np.linalg.norm(ring - met, axis=1).min() < ROUND * tolerance:
+        short = np.hypot(*(corners[after] - corners[k])) < SHORT
+        met = _meet(lines[k - 1], lines[after]) if short else None
+        if met is not None and np.linalg.norm(ring - met, axis=1).min() < ROUND * tolerance:
             corners = corners.copy()
             corners[after] = met
             corners = np.delete(corners, k, 0)
@@ -105,42 +113,45 @@ def _sharpen(
 
 def distance(points: F64, ring: F64) -> F64:
     """(N,) distance of points (N, 2) from the sides of a ring (M, 2)."""
-    side = np.roll(ring, -1, axis=0) - ring
-    length = np.maximum((side**2).sum(1), 1e-18)
+    x, y = ring.T
+    dx, dy = sides(ring).T
+    length = np.maximum(dx * dx + dy * dy, 1e-18)
     out = np.empty(len(points))
     some = max(1, AT_ONCE // len(ring))  # the outline of a whole corridor has tens of thousands of points
     for k in range(0, len(points), some):
-        off = points[k : k + some, None] - ring
-        t = np.clip((off * side).sum(2) / length, 0, 1)
-        out[k : k + some] = np.linalg.norm(off - t[..., None] * side, axis=2).min(1)
-    return out
+        across, up = points[k : k + some, :1] - x, points[k : k + some, 1:] - y
+        t = np.clip((across * dx + up * dy) / length, 0, 1)
+        out[k : k + some] = ((across - t * dx) ** 2 + (up - t * dy) ** 2).min(1)
+    return np.sqrt(out)
 
 
-def _douglas_peucker(points: F64, tolerance: float) -> list[int]:
-    """Indices of the points of a line that have to stay for it to move by at most `tolerance` (1973)."""
-    keep, open_ = {0, len(points) - 1}, [(0, len(points) - 1)]
+def _douglas_peucker(points: F64, tolerance: float) -> F64:
+    """(N,) metres by which a line may move for each of its points to stay (1973); 0 where that is `tolerance` or less.
+    The points that stay at one tolerance stay at every smaller one."""
+    stays = np.zeros(len(points))
+    stays[[0, -1]] = np.inf
+    open_ = [(0, len(points) - 1, np.inf)]
     while open_:
-        a, b = open_.pop()
+        a, b, most = open_.pop()
         if b - a < 2:
             continue
-        chord, inner = points[b] - points[a], points[a + 1 : b] - points[a]
-        length = float(np.linalg.norm(chord))
-        off = np.linalg.norm(inner, axis=1)
-        if length > 1e-12:  # a closed ring starts and ends at one point
-            off = np.abs(chord[0] * inner[:, 1] - chord[1] * inner[:, 0]) / length
+        (x, y), (dx, dy) = points[a + 1 : b].T - points[a, :, None], points[b] - points[a]
+        length = float(np.hypot(dx, dy))
+        # A closed ring starts and ends at one point.
+        off = np.abs(dx * y - dy * x) / length if length > 1e-12 else np.hypot(x, y)
         far = int(np.argmax(off))
         if off[far] > tolerance:
             middle = a + 1 + far
-            keep.add(middle)
-            open_ += [(a, middle), (middle, b)]
-    return sorted(keep)
+            stays[middle] = most = min(most, float(off[far]))
+            open_ += [(a, middle, most), (middle, b, most)]
+    return stays
 
 
-def _meet(one: tuple[F64, F64], two: tuple[F64, F64]) -> F64 | None:
-    """Where two lines (point, direction) cross; None where they are within 15 degrees of parallel."""
+def _meet(one: Line, two: Line) -> F64 | None:
+    """Where two lines cross; None where they are within 15 degrees of parallel."""
     (p, u), (q, v) = one, two
     cross = u[0] * v[1] - u[1] * v[0]
-    if abs(cross) < np.sin(np.radians(15)) * np.linalg.norm(u) * np.linalg.norm(v):
+    if abs(cross) < PARALLEL:
         return None
     d = q - p
     return p + (d[0] * v[1] - d[1] * v[0]) / cross * u
@@ -148,8 +159,13 @@ def _meet(one: tuple[F64, F64], two: tuple[F64, F64]) -> F64 | None:
 
 def area(ring: F64) -> float:
     """Signed area of a ring (M, 2)."""
-    x, y = ring[:, 0], ring[:, 1]
-    return float(0.5 * (x @ np.roll(y, -1) - y @ np.roll(x, -1)))
+    (x, y), (dx, dy) = ring.T, sides(ring).T
+    return float(0.5 * (x @ dy - y @ dx))
+
+
+def sides(ring: F64) -> F64:
+    """(M, 2) from each corner of a ring to the next; `np.roll` takes several times as long."""
+    return np.concatenate([ring[1:], ring[:1]]) - ring
 
 
 def convex_parts(rings: list[F64], tolerance: float) -> list[F64]:
@@ -171,32 +187,31 @@ def convex_parts(rings: list[F64], tolerance: float) -> list[F64]:
     if not polygons:
         return []
     points = np.concatenate(polygons)
-    pieces: list[set[Edge] | None] = []
+    pieces: list[set[Edge]] = []
     for a, b, c in np.asarray(triangulate([p.astype(np.float32) for p in polygons])).tolist():
         if abs(area(points[[a, b, c]])) > 1e-12:
             pieces.append({(a, b), (b, c), (c, a)})
-    owner: dict[Edge, int] = {edge: i for i, piece in enumerate(pieces) if piece for edge in piece}
-    bulge: dict[Edge, float] = {}
-    for edge in owner:
-        if edge[::-1] in owner and edge[0] < edge[1]:
-            bulge[edge] = _bulge(points, pieces, owner, edge)
-    while bulge:
-        edge = min(bulge, key=lambda e: (bulge[e], e))
-        if bulge[edge] > tolerance:
-            break
+    owner: dict[Edge, int] = {edge: i for i, piece in enumerate(pieces) for edge in piece}
+    bulge = {e: _bulge(points, pieces, owner, e) for e in owner if e[::-1] in owner and e[0] < e[1]}
+    waiting = [(by, edge) for edge, by in bulge.items()]
+    heapq.heapify(waiting)
+    while waiting and waiting[0][0] <= tolerance:
+        by, edge = heapq.heappop(waiting)
+        if bulge.get(edge) != by:  # it is gone, or was found to bulge otherwise since
+            continue
         keep, lose = owner[edge], owner[edge[::-1]]
-        merged = _union(pieces[keep], pieces[lose])  # type: ignore[arg-type]
-        inner = (pieces[keep] | pieces[lose]) - merged  # type: ignore[operator]
-        pieces[keep], pieces[lose] = merged, None
+        merged = _union(pieces[keep], pieces[lose])
+        inner = (pieces[keep] | pieces[lose]) - merged
+        pieces[keep], pieces[lose] = merged, set()
         for e in inner:
             bulge.pop(e, None)
             owner.pop(e, None)
-        for e in merged:
-            owner[e] = keep
+        owner |= dict.fromkeys(merged, keep)
         for e in merged:
             key = e if e[0] < e[1] else e[::-1]
             if key in bulge:
                 bulge[key] = _bulge(points, pieces, owner, key)
+                heapq.heappush(waiting, (bulge[key], key))
     made = [hull(points[[a for a, _ in sorted(piece)]]) for piece in pieces if piece]
     return [part for part in made if len(part)]
 
@@ -224,18 +239,14 @@ def _union(one: set[Edge], two: set[Edge]) -> set[Edge]:
     return {e for e in both if e[::-1] not in both}
 
 
-def _bulge(points: F64, pieces: list[set[Edge] | None], owner: dict[Edge, int], edge: Edge) -> float:
+def _bulge(points: F64, pieces: list[set[Edge]], owner: dict[Edge, int], edge: Edge) -> float:
     """How far the hull of two merged pieces leaves them: the deepest dent of their common outline."""
-    one, two = pieces[owner[edge]], pieces[owner[edge[::-1]]]
-    assert one is not None
-    assert two is not None
-    ring = _union(one, two)
+    ring = _union(pieces[owner[edge]], pieces[owner[edge[::-1]]])
     corners = points[sorted({a for a, _ in ring})]
     outer = hull(corners)
     if not len(outer):
         return 0.0
-    a, b = outer, np.roll(outer, -1, axis=0)
-    side = b - a
+    side = sides(outer)
     normal = np.stack([side[:, 1], -side[:, 0]], 1) / np.maximum(np.linalg.norm(side, axis=1), 1e-12)[:, None]
-    depth = -((corners[:, None, :] - a[None]) * normal[None]).sum(2)  # how far inside each side of the hull
+    depth = -((corners[:, None, :] - outer[None]) * normal[None]).sum(2)  # how far inside each side of the hull
     return float(depth.min(1).max())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,8 @@ from numpy.typing import NDArray
 from realsim.core import meshes
 from realsim.core.types import F64
 
-I64 = NDArray[np.int64]
+I64, Bool = NDArray[np.int64], NDArray[np.bool_]
+Plane = tuple[F64, F64]  # a point and the normal
 NEIGHBOURS = 12
 ALIKE = 0.8  # least cosine between a point's normal and its patch's
 LEAST = 5  # points: fewer are no patch
@@ -33,7 +35,7 @@ class Samples:
     spacing: float
     """Metres."""
 
-    def where(self, keep: NDArray[np.bool_]) -> Samples:
+    def where(self, keep: NDArray[Any]) -> Samples:
         """Those points only."""
         return Samples(self.points[keep], self.normals[keep], self.area[keep], self.spacing)
 
@@ -86,7 +88,7 @@ def patches(samples: Samples, tolerance: float) -> list[Patch]:
     for seed in np.argsort(_roughness(P, N, tree), kind="stable"):
         if not free[seed]:
             continue
-        taken, plane = _grown(P, N, free, tree, links, int(seed), reach, tolerance)
+        taken, plane = _grown(samples, free, links, int(seed), reach, tolerance)
         free[seed] = False
         if len(taken) < LEAST:
             continue
@@ -115,41 +117,54 @@ def _roughness(P: F64, N: F64, tree: object) -> F64:
     return 1 - np.einsum("mki,mi->mk", N[near], N).mean(1)
 
 
-def _grown(
-    P: F64, N: F64, free: NDArray[np.bool_], tree: object, links: object, seed: int, reach: float, tolerance: float
-) -> tuple[I64, tuple[F64, F64]]:
-    """(indices, (point, normal)) of the connected free points about a seed that lie on its plane.
+def _grown(samples: Samples, free: Bool, links: Any, seed: int, reach: float, tolerance: float) -> tuple[I64, Plane]:
+    """(indices, plane) of the connected free points about a seed that lie on its plane.
 
     The ball about the seed is doubled until nothing of the patch reaches its rim.
     """
-    from scipy.sparse.csgraph import connected_components
-
-    radius = 3 * reach
+    P, N, radius = samples.points, samples.normals, 3 * reach
     plane = (P[seed], N[seed])
-    near = np.array(tree.query_ball_point(P[seed], reach), dtype=np.int64)  # type: ignore[attr-defined]
-    near = near[free[near] & (N[near] @ N[seed] > ALIKE)]
+    near = links.indices[links.indptr[seed] : links.indptr[seed + 1]]
+    near = near[free[near]]
+    near = near[N[near] @ N[seed] > ALIKE]
     if len(near) < LEAST:  # the rest of what others took
         return near[:0], plane
     plane = _fitted(P, N, near, plane)
     while True:
-        near = np.array(tree.query_ball_point(P[seed], radius, return_sorted=True), dtype=np.int64)  # type: ignore[attr-defined]
-        near = near[free[near]]
-        here, ways, taken = P[near], N[near], near[:0]
+        taken = near[:0]
         for _ in range(FITS):
-            point, normal = plane
-            on = near[(np.abs((here - point) @ normal) < tolerance) & (ways @ normal > ALIKE)]
-            if seed not in on:
+            on = _connected(samples, free, links, seed, radius, plane, tolerance)
+            if not len(on):
                 return taken, plane
-            _, part = connected_components(links[on][:, on], directed=False)  # type: ignore[index]
-            taken = on[part == part[np.searchsorted(on, seed)]]
-            plane = _fitted(P, N, taken, plane)
+            if np.array_equal(on, taken):
+                break
+            taken, plane = on, _fitted(P, N, on, plane)
         if np.linalg.norm(P[taken] - P[seed], axis=1).max() < radius - reach:
             return taken, plane
         radius *= 2
 
 
-def _fitted(P: F64, N: F64, index: I64, before: tuple[F64, F64]) -> tuple[F64, F64]:
-    """(point, normal) of the plane through points; through few, with the normal that they have."""
+def _connected(
+    samples: Samples, free: Bool, links: Any, seed: int, radius: float, plane: Plane, tolerance: float
+) -> I64:
+    """Free points in a ball about a seed that lie on a plane, and are linked to the seed by such; none if it does not
+    lie there itself. Only they and their neighbours are looked at."""
+    P, N, (point, normal) = samples.points, samples.normals, plane
+    left, here, found = free.copy(), np.array([seed]), []
+    while len(here):
+        left[here] = False
+        at = P[here]
+        on = (((at - P[seed]) ** 2).sum(1) <= radius**2) & (np.abs((at - point) @ normal) < tolerance)
+        here = here[on & (N[here] @ normal > ALIKE)]
+        found.append(here)
+        first = links.indptr[here]
+        near = links.indices[meshes.runs(first, links.indptr[here + 1] - first)]
+        here = np.unique(near[left[near]])
+    return np.sort(np.concatenate(found))
+
+
+def _fitted(P: F64, N: F64, index: I64, before: Plane) -> Plane:
+    """The plane through points; through few, with the normal that they have."""
     if len(index) < LEAST:
         return before
     middle = P[index].mean(0)

@@ -8,10 +8,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.core.geometry import R_to_quat, quat_to_R
+from realsim.core.geometry import R_to_quat, cross, quat_to_R
 from realsim.core.meshes import across, areas
 from realsim.core.types import F64
 from realsim.export.contact.base import Asset, Geom
+from realsim.export.contact.outline import hull
 
 ONE_PLANE = 1e-3
 """Cosine from 1, and metres, by which the triangles of a hull that lie in one face may differ."""
@@ -114,7 +115,7 @@ class Polytope:
 
     def about(self, points: F64, margin: float = 0.0) -> NDArray[np.int64]:
         """Which of points (N, 3) its bounds hold, or miss by at most `margin` metres."""
-        return np.flatnonzero(((points > self.lower - margin) & (points < self.upper + margin)).all(1))
+        return among(points, self.lower - margin, self.upper + margin)
 
     def section(self, face: Face, beyond: float) -> F64:
         """(K, 2) outline of this where the plane `beyond` metres outside another's face cuts it, in that face's plane;
@@ -148,9 +149,14 @@ class Face:
     @cached_property
     def axes(self) -> F64:
         """(2, 3) unit vectors in its plane."""
-        u = np.cross(self.normal, np.eye(3)[np.abs(self.normal).argmin()])
+        u = cross(self.normal, np.eye(3)[np.abs(self.normal).argmin()])
         u /= np.linalg.norm(u)
-        return np.stack([u, np.cross(self.normal, u)])
+        return np.stack([u, cross(self.normal, u)])
+
+    @cached_property
+    def outline(self) -> F64:
+        """(K, 2) its corners in its plane, counter-clockwise."""
+        return hull(self.flat(self.corners))
 
     def flat(self, points: F64) -> F64:
         """(N, 2) of points (N, 3), dropped into its plane."""
@@ -159,6 +165,15 @@ class Face:
     def lifted(self, flat: F64, beyond: float = 0.0) -> F64:
         """(N, 3) of points (N, 2) in its plane, `beyond` metres outside."""
         return np.asarray(flat @ self.axes + (beyond - self.offset) * self.normal)
+
+
+def among(points: F64, low: F64, high: F64) -> NDArray[np.int64]:
+    """Which of points (N, 3) lie in a box. Along one axis after the other: numpy is slow along rows of three."""
+    here = np.arange(len(points))
+    for k in range(3):
+        at = points[here, k]
+        here = here[(at > low[k]) & (at < high[k])]
+    return here
 
 
 def farthest(points: F64, planes: list[F64]) -> F64:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from realsim.core.geometry import R_to_quat, quat_to_R
 from realsim.core.types import F64
 from realsim.export.contact.base import Asset, ContactModel, Geom
-from realsim.export.contact.outline import distance
+from realsim.export.contact.outline import distance, sides
 from realsim.export.contact.polytope import Polytope
 
 FLAT = 1e-4  # metres: corners are written to a hundredth of a millimetre, and MuJoCo finds no hull of a plane
@@ -30,6 +31,11 @@ class Prism:
     def corners(self) -> F64:
         """(2M, 3) all corners."""
         return np.concatenate([np.column_stack([self.outline, z]) for z in (self.top, self.bottom)])
+
+    @cached_property
+    def solid(self) -> Polytope:
+        """What it fills."""
+        return Polytope(self.corners)
 
     @property
     def flat(self) -> bool:
@@ -103,7 +109,7 @@ def _as_box(name: str, prism: Prism, tolerance: float = 0.005) -> Geom | None:
 def _rectangle(outline: F64) -> tuple[F64, F64, F64]:
     """Smallest rectangle around a convex outline: (centre (2,), axes (2, 2) as rows, half sizes (2,))."""
     best: tuple[float, F64, F64, F64] | None = None
-    for side in np.roll(outline, -1, axis=0) - outline:
+    for side in sides(outline):
         length = float(np.linalg.norm(side))
         if length < 1e-9:
             continue

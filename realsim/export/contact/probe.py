@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -88,6 +89,20 @@ class SimTouch:
         self.batch = batch
         self._owner = self.model.geom_bodyid - 1  # the world is body 0
 
+    @cached_property
+    def triangles(self) -> tuple[F64, NDArray[np.int32]]:
+        """(V, 3) and (K, 3) of what the world's geoms collide as: hulls of meshes, and a floor of 100 m.
+
+        Raises:
+            ExportError: a geom is neither plane, box, height field nor mesh.
+        """
+        from realsim.export.formats.scene import collision_triangles
+
+        model = self.spec.compile()
+        data = self._mj.MjData(model)
+        self._mj.mj_forward(model, data)
+        return collision_triangles(model, data)
+
     def clearance(self, positions: F64, quats: F64) -> F64:
         """(N,) distance of each probe at (N, 3), (N, 4) from the nearest geom, negative inside, at most MARGIN."""
         out = np.full(len(positions), MARGIN)
@@ -134,22 +149,6 @@ def terrain_only(spec: Any) -> Any:
     return spec
 
 
-def triangles_of(spec: Any) -> tuple[F64, NDArray[np.int32]]:
-    """(V, 3) and (K, 3) of what the world's geoms collide as: hulls of meshes, and a floor of 100 m.
-
-    Raises:
-        ExportError: a geom is neither plane, box, height field nor mesh.
-    """
-    import mujoco
-
-    from realsim.export.formats.scene import collision_triangles
-
-    model = spec.compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    return collision_triangles(model, data)
-
-
 class Reference:
     """The exact surface: distances, and what lies above a point."""
 
@@ -160,6 +159,7 @@ class Reference:
         self.up = across(vertices, triangles)[:, 2] > 0
         self._rays = Rays(vertices, triangles)
 
+    @cached_property
     def seen_only(self) -> Reference:
         """The measured part of it."""
         if not self.invented.any():

@@ -16,7 +16,7 @@ from realsim.core.progress import track
 from realsim.core.types import F64
 from realsim.export.contact.base import Asset, ContactModel, Geom
 from realsim.export.contact.merge import ADDS, Neighbours, Whole, merged
-from realsim.export.contact.outline import area, hull
+from realsim.export.contact.outline import area, hull, sides
 from realsim.export.contact.polytope import Face, Polytope, farthest
 
 REACH = 0.02
@@ -131,23 +131,26 @@ def _covers(parts: list[Polytope], near: Neighbours, i: int, face: Face) -> Iter
     """Neighbours that go on where a face of part i ends, and do not reach into it."""
     beyond = face.corners + REACH * face.normal
     low, high = np.minimum(face.corners.min(0), beyond.min(0)), np.maximum(face.corners.max(0), beyond.max(0))
-    outline, part = hull(face.flat(face.corners)), parts[i]
+    part = parts[i]
     for j in near.of(low, high, but=i).tolist():
         key = part, face, j, parts[j]  # looked at when parts grow, and again for what is left of the seams
         if key not in near.seen:
-            near.seen[key] = _cover(part, face, outline, j, parts[j])
+            near.seen[key] = _cover(part, face, j, parts[j])
         if (cover := near.seen[key]) is not None:
             yield cover
 
 
-def _cover(part: Polytope, face: Face, outline: F64, j: int, other: Polytope) -> _Cover | None:
-    """What of a part's face, by its outline, part j covers."""
+def _cover(part: Polytope, face: Face, j: int, other: Polytope) -> _Cover | None:
+    """What of a part's face part j covers."""
     back = other.faces[int((other.planes[:, :3] @ face.normal).argmin())]
     cosine = float(back.normal @ face.normal)
     if cosine > -OPPOSED:
         return None
     section = other.section(face, GAP)
-    if not len(section) or _apart(outline, section) or _width(close := clip(outline, hull(section))) <= NARROW:
+    if not len(section) or _apart(face.outline, section):
+        return None
+    close = clip(face.outline, hull(section))
+    if _width(close) <= NARROW:
         return None
     into = float(((face.lifted(close) @ back.normal + back.offset) / cosine).min())
     if into > DEEP:
@@ -193,9 +196,8 @@ def _grown(parts: list[Polytope], near: Neighbours, whole: Whole, i: int, face: 
     open_ = [c for c in covers if not _spanned(parts, near, c)]
     if not open_:
         return None
-    outline = hull(face.flat(face.corners))
     through = min(_thickness(parts[c.part], face) for c in covers) - FLUSH
-    tries = [(outline, FARTHER), (outline, REACH), (outline, through)]
+    tries = [(face.outline, by) for by in (FARTHER, REACH, through)]
     # A neighbour whose own surface falls away from the seam (the other side of a ridge) is entered below that.
     tries += [(cover.far, cover.reach) for cover in open_]
     for flat, by in tries:
@@ -262,7 +264,7 @@ def clip(outline: F64, other: F64) -> F64:
 
 def _apart(outline: F64, points: F64) -> bool:
     """Whether all points (N, 2) lie outside one side of an outline (K, 2) as `hull` makes it."""
-    (x, y), (dx, dy) = outline.T[..., None], (np.roll(outline, -1, 0) - outline).T[..., None]
+    (x, y), (dx, dy) = outline.T[..., None], sides(outline).T[..., None]
     return bool((dy * (points[:, 0] - x) - dx * (points[:, 1] - y) > 0).all(1).any())
 
 
@@ -285,5 +287,5 @@ def _width(outline: F64) -> float:
     """Metres: the least width of a convex outline (M, 2), by its area and length; 0 of none."""
     if len(outline) < 3:
         return 0.0
-    around = float(np.linalg.norm(np.roll(outline, -1, 0) - outline, axis=1).sum())
+    around = float(np.linalg.norm(sides(outline), axis=1).sum())
     return 2 * abs(area(outline)) / max(around, 1e-12)

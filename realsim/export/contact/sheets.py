@@ -18,9 +18,9 @@ from realsim.export.config import SceneConfig
 from realsim.export.contact.base import ContactModel, Geom
 from realsim.export.contact.columns import SHEET
 from realsim.export.contact.islands import ROUGH
-from realsim.export.contact.outline import area, convex_parts, outlines
+from realsim.export.contact.outline import area, convex_parts, outlines, sides
 from realsim.export.contact.patches import LEAST, Patch, Samples, patches, sampled
-from realsim.export.contact.polytope import Polytope
+from realsim.export.contact.polytope import Polytope, among
 from realsim.export.contact.prisms import Prism, as_contact, as_geom, placed
 from realsim.export.contact.probe import Reference
 from realsim.export.contact.seams import overlap
@@ -99,10 +99,10 @@ def _is_solid(prisms: list[Prism], samples: Samples, near: float) -> bool:
     """
     corners = np.concatenate([prism.corners for prism in prisms])
     low, high = corners.min(0) - near, corners.max(0) + near
-    around = samples.where(((samples.points > low) & (samples.points < high)).all(1))
+    around = samples.where(among(samples.points, low, high))
     on, air = np.zeros((2, len(around.points)), bool)
     front = around.points + FRONT * around.normals
-    for part in [Polytope(prism.corners) for prism in prisms]:
+    for part in [prism.solid for prism in prisms]:
         here, before = part.about(around.points, near), part.about(front)
         on[here] |= np.abs(part.depth(around.points[here])) < near
         air[before] |= part.depth(front[before]) > INSIDE
@@ -111,17 +111,17 @@ def _is_solid(prisms: list[Prism], samples: Samples, near: float) -> bool:
 
 def _outer_area(prisms: list[Prism]) -> float:
     """m^2 of top and sides, without sides at which another of the prisms goes on."""
-    parts = [Polytope(prism.corners) for prism in prisms]
-    total = 0.0
+    beside, across, total = [], [], 0.0
     for prism in prisms:
-        side = np.roll(prism.outline, -1, axis=0) - prism.outline
+        side = sides(prism.outline)
         length, height = np.linalg.norm(side, axis=1), prism.top - prism.bottom
         out = INSIDE * np.column_stack([side[:, 1], -side[:, 0]]) / np.maximum(length, 1e-12)[:, None]
-        beside = np.column_stack([prism.outline + side / 2 + out, (prism.top + prism.bottom) / 2])
-        free = ~np.any([part.contains(beside) for part in parts], axis=0)
+        beside.append(np.column_stack([prism.outline + side / 2 + out, (prism.top + prism.bottom) / 2]))
+        across.append(length * (height + np.roll(height, -1)) / 2)
         total += abs(area(prism.outline))
-        total += float((free * length * (height + np.roll(height, -1)) / 2).sum())
-    return total
+    places = np.concatenate(beside)
+    free = ~np.any([prism.solid.contains(places) for prism in prisms], axis=0)
+    return total + float(np.concatenate(across)[free].sum())
 
 
 def _felt(points: F64, prisms: list[Prism], floor: tuple[Geom, ...], near: float) -> NDArray[np.bool_]:
@@ -132,8 +132,7 @@ def _felt(points: F64, prisms: list[Prism], floor: tuple[Geom, ...], near: float
         top = part.pos[2] + (size[2] if part.type == "box" else 0.0)
         over = (np.abs(points[:, :2] - part.pos[:2]) < size[:2]).all(1) | (part.type == "plane")
         felt |= over & (points[:, 2] < top + near)
-    for prism in prisms:
-        solid = Polytope(prism.corners)
+    for solid in [prism.solid for prism in prisms]:
         around = solid.about(points, near)
         felt[around] |= solid.contains(points[around], near)
     return felt

@@ -6,13 +6,7 @@ import numpy as np
 
 from realsim.core.meshes import across, connected, sampled
 from realsim.core.types import F64
-from realsim.export.contact.probe import (
-    BALL_RADIUS,
-    Reference,
-    SimTouch,
-    first_touch,
-    triangles_of,
-)
+from realsim.export.contact.probe import BALL_RADIUS, Reference, SimTouch, first_touch
 
 HEIGHTS = (0.1, 0.5, 1.0)  # metres above the ground: toes, knees, hips
 GRAZES = 0.003  # metres below those: a box of just 0.5 m would be hit or missed by rounding
@@ -54,7 +48,7 @@ def side_figures(
         `balls` and the share of them that went through. Shares are None where fewer than ENOUGH rays met anything.
     """
     rng = np.random.default_rng(seed)
-    surface = reference.seen_only()
+    surface = reference.seen_only
     around = AROUND if bare else 0.0
     starts, ways, height = _rays(surface, lower - around, upper + around, ground_z, rng, bare)
     hit, cosine, normal = surface.cast(starts, ways)
@@ -85,7 +79,7 @@ def free_side_figures(touch: SimTouch, reference: Reference, ground_z: float, no
     Returns:
         JSON-able: `free_sides_cm2` of the part that has most of them, and about where, (3,) `free_sides_at` or None.
     """
-    vertices, faces = triangles_of(touch.spec)
+    vertices, faces = touch.triangles
     part, cross = connected(faces), across(vertices, faces)
     area = np.linalg.norm(cross, axis=1) / 2
     low, far = ground_z + WITHIN, WITHIN + noise
@@ -137,7 +131,7 @@ def _stops(touch: SimTouch, starts: F64, ways: F64) -> F64:
     """(N,) metres to where the collision geoms stop each ray; 0 where it starts in one, inf where none does."""
     places, which = np.unique(starts, axis=0, return_inverse=True)
     inside = touch.clearance(places, np.tile([1.0, 0, 0, 0], (len(places), 1))) <= -BALL_RADIUS
-    stop = Reference(*triangles_of(touch.spec)).cast(starts, ways)[0]
+    stop = Reference(*touch.triangles).cast(starts, ways)[0]
     stop[inside[which.reshape(-1)]] = 0.0
     return stop
 
