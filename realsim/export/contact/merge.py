@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.core.meshes import areas, sampled
+from realsim.core.meshes import areas, runs, sampled
 from realsim.core.types import F64
 from realsim.export.contact.base import Geom
-from realsim.export.contact.polytope import Polytope, corners_of, farthest
+from realsim.export.contact.polytope import Polytope, corners_of
 
 ADDS = 0.004
 """Metres by which a hull may stand out of the shape; planes are fitted no more closely. On the true mesh of a rendered
@@ -66,7 +66,9 @@ class Whole:
         """
         parts = parts + [Polytope.of_box(g) for g in others if g.type == "box"]
         self.near = Neighbours(parts)
-        self.planes = [part.planes for part in parts]
+        self.planes = np.concatenate([np.zeros((0, 4)), *(part.planes for part in parts)])
+        self.count = np.array([len(part.planes) for part in parts], np.int64)
+        self.first = np.cumsum(self.count) - self.count
         self.ground = max((g.pos[2] for g in others if g.type == "plane"), default=-np.inf)
 
     def holds(self, points: F64, margin: float, but: float = 0.0) -> bool:
@@ -96,7 +98,10 @@ class Whole:
         left = points[points[:, 2] > self.ground + margin]
         while len(near) and len(left) > most:
             some = 1 + AT_ONCE // len(left)
-            left = left[(farthest(left, [self.planes[k] for k in near[:some].tolist()]) > margin).all(0)]
+            count = self.count[near[:some]]
+            planes = self.planes[runs(self.first[near[:some]], count)]
+            off = planes[:, :3] @ left.T + planes[:, 3:]  # along the points, which are many, numpy is faster
+            left = left[(np.maximum.reduceat(off, np.cumsum(count) - count, axis=0) > margin).all(0)]
             near = near[some:]
         return left
 

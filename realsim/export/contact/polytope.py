@@ -111,7 +111,7 @@ class Polytope:
 
     def depth(self, points: F64) -> F64:
         """(N,) metres from points (N, 3) inside to the nearest face; negative outside, from the plane farthest off."""
-        return -farthest(points, [self.planes])[0]
+        return np.asarray(-(self.planes[:, :3] @ points.T + self.planes[:, 3:]).max(0))
 
     def about(self, points: F64, margin: float = 0.0) -> NDArray[np.int64]:
         """Which of points (N, 3) its bounds hold, or miss by at most `margin` metres."""
@@ -174,14 +174,6 @@ def among(points: F64, low: F64, high: F64) -> NDArray[np.int64]:
         at = points[here, k]
         here = here[(at > low[k]) & (at < high[k])]
     return here
-
-
-def farthest(points: F64, planes: list[F64]) -> F64:
-    """(K, N) metres from points (N, 3) to the farthest plane of each of K parts [(P, 4)]; negative inside of all. Along
-    the points, which are many, numpy is several times as fast as along the planes."""
-    every = np.concatenate(planes)
-    first = np.cumsum([0, *map(len, planes[:-1])])
-    return np.asarray(np.maximum.reduceat(every[:, :3] @ points.T + every[:, 3:], first, axis=0))
 
 
 def corners_of(*points: F64) -> F64:

@@ -17,7 +17,7 @@ from realsim.core.types import F64
 from realsim.export.contact.base import Asset, ContactModel, Geom
 from realsim.export.contact.merge import ADDS, Neighbours, Whole, merged
 from realsim.export.contact.outline import area, hull, sides
-from realsim.export.contact.polytope import Face, Polytope, farthest
+from realsim.export.contact.polytope import Face, Polytope
 
 REACH = 0.02
 """Metres by which one part reaches into the next."""
@@ -250,7 +250,7 @@ def _spanned(parts: list[Polytope], near: Neighbours, cover: _Cover) -> bool:
 
 def _held(core: F64, parts: list[Polytope]) -> bool:
     """Whether one of some parts holds all points (N, 3)."""
-    return bool(parts and (farthest(core, [part.planes for part in parts]) <= GAP).all(1).any())
+    return any(part.contains(core, GAP).all() for part in parts)
 
 
 def clip(outline: F64, other: F64) -> F64:
