@@ -248,6 +248,13 @@ def write_text(path: Path, text: str) -> None:
     write_bytes(path, text.encode("utf-8", "backslashreplace"))
 
 
+def write_files(folder: Path, files: Mapping[str, bytes]) -> list[Path]:
+    """Write every file whole or not at all, by its name; their paths."""
+    for name, data in files.items():
+        write_bytes(folder / name, data)
+    return [folder / name for name in files]
+
+
 def write_bytes(path: Path, data: bytes) -> None:
     """Write a file whole or not at all (temporary name in the same folder, then rename)."""
     with explain_write_errors(path):

@@ -21,6 +21,7 @@ from realsim.export.contact.sides import FREE
 from realsim.export.ground import DEEP, GroundLevel, ground_level, hidden_cm2
 from realsim.export.mend import read_mesh
 from realsim.export.scene import write_terrain
+from realsim.export.visual import png_bytes
 
 LIMIT = 0.015  # metres at which a colour is full
 NONE, AGREE, PHANTOM, MISSING = (235, 235, 235), (247, 247, 247), (178, 24, 43), (33, 102, 172)  # RGB
@@ -139,11 +140,8 @@ GOOD = "The contact geometry meets every limit."
 def heatmap_png(contact_map: F64, pixels: int = 6) -> bytes:
     """PNG of (N, 3) x, y, signed error in metres: red where MuJoCo touches what is not there, blue
     where it lacks what is there, white where both agree, full colour at 15 mm. x to the right, y up."""
-    import cv2
-
     error = error_grid(contact_map)[..., None]
     strength = np.clip(np.abs(error) / LIMIT, 0, 1)
     color = np.array(AGREE) * (1 - strength) + np.where(error > 0, PHANTOM, MISSING) * strength
     image = np.where(np.isnan(error), NONE, np.rint(color)).astype(np.uint8)[..., ::-1]  # OpenCV wants blue first
-    _, data = cv2.imencode(".png", image.repeat(pixels, 0).repeat(pixels, 1))
-    return data.tobytes()
+    return png_bytes(image.repeat(pixels, 0).repeat(pixels, 1))

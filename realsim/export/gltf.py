@@ -38,10 +38,8 @@ class GltfFile:
             limits: whether its least and largest values are written, which positions and times need.
             target: VERTEX_BUFFER or INDEX_BUFFER.
         """
-        view = {"buffer": 0, "byteOffset": self._length, "byteLength": values.nbytes}
-        self._add("bufferViews", view | ({} if target is None else {"target": target}))
         accessor = {
-            "bufferView": len(self._document["bufferViews"]) - 1,
+            "bufferView": self._view(values.tobytes(), target),
             "componentType": COMPONENTS[values.dtype.newbyteorder("<").str],
             "count": len(values),
             "type": kind,
@@ -50,8 +48,6 @@ class GltfFile:
             accessor["normalized"] = True
         if limits:
             accessor |= {"min": np.atleast_1d(values.min(0)).tolist(), "max": np.atleast_1d(values.max(0)).tolist()}
-        self._parts.append(values.tobytes())
-        self._length += values.nbytes
         return self._add("accessors", accessor)
 
     def mesh(
@@ -120,13 +116,16 @@ class GltfFile:
 
     def _image(self, png: bytes) -> int:
         """A texture from a PNG, kept in the buffer; returns its index."""
-        view = self._add("bufferViews", {"buffer": 0, "byteOffset": self._length, "byteLength": len(png)})
-        padded = png + b"\0" * (-len(png) % 4)
-        self._parts.append(padded)
-        self._length += len(padded)
-        self._document.setdefault("images", []).append({"bufferView": view, "mimeType": "image/png"})
+        self._document.setdefault("images", []).append({"bufferView": self._view(png), "mimeType": "image/png"})
         self._document.setdefault("textures", []).append({"source": len(self._document["images"]) - 1})
         return len(self._document["textures"]) - 1
+
+    def _view(self, data: bytes, target: int | None = None) -> int:
+        """Append bytes to the buffer; returns the index of their view."""
+        view = {"buffer": 0, "byteOffset": self._length, "byteLength": len(data)}
+        self._parts.append(data + b"\0" * (-len(data) % 4))
+        self._length += len(self._parts[-1])
+        return self._add("bufferViews", view | ({} if target is None else {"target": target}))
 
     def _add(self, table: str, entry: dict[str, Any]) -> int:
         self._document[table].append(entry)

@@ -11,6 +11,7 @@ from realsim.export.contact.base import ContactModel, Geom
 
 VISUAL_GROUP, COLLISION_GROUP = 2, 3
 DRAWN_BELOW = 0.03  # metres
+UNTOUCHED = {"contype": "0", "conaffinity": "0"}
 HFIELD_CONTACT = {"solref": "0.01 1", "solmix": "1000000"}
 """Of a height field's geom. MuJoCo collides it as prisms of one cell: what sinks half a cell deep is pushed out at
 their sides, into the next one, and never gets out. With the usual 0.02 s, 93 and 114 of 150 balls dropped from half a
@@ -46,21 +47,9 @@ def scene_xml(
     _assets(asset, contact)
     world = ET.SubElement(root, "worldbody")
     _lights_and_camera(world, bounds)
-    ET.SubElement(
-        world,
-        "geom",
-        name="visual",
-        type="mesh",
-        mesh="visual",
-        material="scan",
-        contype="0",
-        conaffinity="0",
-        group=str(VISUAL_GROUP),
-    )
-    for geom in contact.geoms:
-        ET.SubElement(world, "geom", _geom(geom))
-        if geom.visible and geom.type == "plane":
-            ET.SubElement(world, "geom", _drawn_floor(geom))
+    drawn = {"name": "visual", "type": "mesh", "mesh": "visual", "material": "scan", **UNTOUCHED}
+    ET.SubElement(world, "geom", drawn, group=str(VISUAL_GROUP))
+    _geoms(world, contact)
     for name, platform in zip(platform_names(platforms), platforms, strict=True):
         _platform_site(world, name, platform)
     if robot is not None:
@@ -74,11 +63,7 @@ def contact_elements(contact: ContactModel) -> str:
     root = ET.Element("mujoco", model="contact")
     _materials(asset := ET.SubElement(root, "asset"), None)
     _assets(asset, contact)
-    world = ET.SubElement(root, "worldbody")
-    for geom in contact.geoms:
-        ET.SubElement(world, "geom", _geom(geom))
-        if geom.visible and geom.type == "plane":
-            ET.SubElement(world, "geom", _drawn_floor(geom))
+    _geoms(ET.SubElement(root, "worldbody"), contact)
     return ET.tostring(root, "unicode")
 
 
@@ -128,6 +113,13 @@ def _lights_and_camera(world: ET.Element, bounds: NDArray[np.float64]) -> None:
     ET.SubElement(world, "camera", name="side", pos=numbers(eye), xyaxes=numbers([1, 0, 0, *up]))
 
 
+def _geoms(world: ET.Element, contact: ContactModel) -> None:
+    for geom in contact.geoms:
+        ET.SubElement(world, "geom", _geom(geom))
+        if geom.visible and geom.type == "plane":
+            ET.SubElement(world, "geom", _drawn_floor(geom))
+
+
 def _geom(geom: Geom) -> dict[str, str]:
     out = {"name": geom.name, "type": geom.type, "pos": numbers(geom.pos)}
     if geom.quat != (1.0, 0.0, 0.0, 0.0):
@@ -149,21 +141,12 @@ def _drawn_floor(floor: Geom) -> dict[str, str]:
     out = {"name": f"{floor.name}_drawn", "type": "plane", "pos": numbers((x, y, z - DRAWN_BELOW))}
     if floor.size is not None:
         out["size"] = numbers(floor.size)
-    return out | {"material": "floor", "group": "0", "contype": "0", "conaffinity": "0"}
+    return out | {"material": "floor", "group": "0", **UNTOUCHED}
 
 
 def _platform_site(world: ET.Element, name: str, platform: Platform) -> None:
     """A thin, half transparent slab in the platform's top face; x along its long side."""
     color = {"start": "0.2 0.7 0.3 0.4", "goal": "0.85 0.25 0.2 0.4"}.get(name, "0.9 0.75 0.2 0.3")
-    half = platform.size[:2] / 2
-    ET.SubElement(
-        world,
-        "site",
-        name=name,
-        type="box",
-        pos=numbers(platform.centroid),
-        euler=numbers([0, 0, platform.yaw]),
-        size=numbers([*half, 0.001]),
-        rgba=color,
-        group="4",
-    )
+    place = {"pos": numbers(platform.centroid), "euler": numbers([0, 0, platform.yaw])}
+    size = numbers([*(platform.size[:2] / 2), 0.001])
+    ET.SubElement(world, "site", {"name": name, "type": "box", **place}, size=size, rgba=color, group="4")

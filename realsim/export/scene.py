@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from realsim import robots
-from realsim.core.files import write_bytes, write_text
+from realsim.core.files import write_files, write_text
 from realsim.core.meshes import compact, ply_bytes, simplify, vertex_normals
 from realsim.core.types import F64, AlignedScene, Platform, SceneFiles, TerrainMesh
 from realsim.export.check import check_scene
@@ -88,8 +88,7 @@ def write_terrain(
     bounds = np.stack([mesh.vertices.min(0), mesh.vertices.max(0)])
     include = "robot.xml" if robot else None
     xml = scene_xml(contact, platforms, bounds, visual="visual.obj", texture=texture, robot=include, azimuth=azimuth)
-    for name, data in files.items():
-        write_bytes(folder / name, data)
+    write_files(folder, files)
     path = folder / "scene.xml"
     write_text(path, xml)
     checks = check_scene(path, platforms, robot.root if robot else None)

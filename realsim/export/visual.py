@@ -1,5 +1,7 @@
 """The mesh as MuJoCo draws it: OBJ with a texture. MuJoCo knows no vertex colours, so they are baked."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -46,8 +48,6 @@ def bake(vertices: F64, triangles: I32, colors: NDArray[np.uint8]) -> tuple[byte
     neighbour. Tiles are laid out in the order of the triangles' places in the world, so that coarse mipmaps average
     what lies close together.
     """
-    import cv2
-
     count = len(triangles)
     side = int(np.ceil(np.sqrt(count)))
     order = np.argsort(_morton(vertices[triangles].mean(1)), kind="stable")
@@ -61,14 +61,21 @@ def bake(vertices: F64, triangles: I32, colors: NDArray[np.uint8]) -> tuple[byte
     tiles = np.zeros((side, side, TILE, TILE, 3), np.uint8)
     tiles[row, column] = np.clip(np.rint(texels), 0, 255)
     image = tiles.transpose(0, 2, 1, 3, 4).reshape(side * TILE, side * TILE, 3)
-    ok, png = cv2.imencode(".png", image[..., ::-1])
-    if not ok:
-        raise ExportError("the texture could not be encoded", found=f"{image.shape[1]} x {image.shape[0]} pixels")
     corner = np.array([[0, 0], [TILE - 1, 0], [0, TILE - 1]]) + 0.5
     pixel = np.stack([column, row], 1)[:, None, :] * TILE + corner
     uv = pixel / (side * TILE)
     uv[..., 1] = 1 - uv[..., 1]  # OBJ counts v from the image's bottom row
-    return png.tobytes(), uv
+    return png_bytes(image[..., ::-1]), uv
+
+
+def png_bytes(image: NDArray[Any]) -> bytes:
+    """PNG of an image (H, W) or, in OpenCV's order, (H, W, 3)."""
+    import cv2
+
+    ok, data = cv2.imencode(".png", np.ascontiguousarray(image))
+    if not ok:
+        raise ExportError("a picture could not be encoded", found=f"{image.shape[1]} x {image.shape[0]} pixels")
+    return data.tobytes()
 
 
 def _morton(points: F64) -> NDArray[np.int64]:

@@ -26,7 +26,7 @@ def step_cost(spec: Any, place: NDArray[np.float64]) -> dict[str, float]:
 
     plane = mujoco.MjSpec()
     plane.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1])
-    models = [_with_g1(plane, np.zeros(3)), _with_g1(terrain_only(spec), place)]
+    models = [with_g1(plane, np.zeros(3)), with_g1(terrain_only(spec), place)]
     stand, walk = (np.array([[_run(m, swing) for m in models] for _ in range(REPEATS)]).min(0) for swing in (0.0, 0.25))
     return {
         "step_cost_vs_plane": round(float(stand[1, 0] / stand[0, 0]), 3),
@@ -36,12 +36,11 @@ def step_cost(spec: Any, place: NDArray[np.float64]) -> dict[str, float]:
     }
 
 
-def _with_g1(spec: Any, place: NDArray[np.float64]) -> Any:
+def with_g1(spec: Any, place: NDArray[np.float64]) -> Any:
+    """The model of a terrain with G1 standing at `place` (3,) metres."""
     from realsim.robots.g1 import g1
 
-    robot = g1().placed(place)
-    frame = spec.worldbody.add_frame()
-    spec.attach(robot.spec, frame=frame, prefix="g1/")
+    spec.attach(g1().placed(place).spec, frame=spec.worldbody.add_frame(), prefix="g1/")
     return spec.compile()
 
 

@@ -115,7 +115,11 @@ class Polytope:
 
     def about(self, points: F64, margin: float = 0.0) -> NDArray[np.int64]:
         """Which of points (N, 3) its bounds hold, or miss by at most `margin` metres."""
-        return among(points, self.lower - margin, self.upper + margin)
+        here = np.arange(len(points))
+        for k in range(3):  # numpy is slow along rows of three
+            at = points[here, k]
+            here = here[(at > self.lower[k] - margin) & (at < self.upper[k] + margin)]
+        return here
 
     def section(self, face: Face, beyond: float) -> F64:
         """(K, 2) outline of this where the plane `beyond` metres outside another's face cuts it, in that face's plane;
@@ -165,15 +169,6 @@ class Face:
     def lifted(self, flat: F64, beyond: float = 0.0) -> F64:
         """(N, 3) of points (N, 2) in its plane, `beyond` metres outside."""
         return np.asarray(flat @ self.axes + (beyond - self.offset) * self.normal)
-
-
-def among(points: F64, low: F64, high: F64) -> NDArray[np.int64]:
-    """Which of points (N, 3) lie in a box. Along one axis after the other: numpy is slow along rows of three."""
-    here = np.arange(len(points))
-    for k in range(3):
-        at = points[here, k]
-        here = here[(at > low[k]) & (at < high[k])]
-    return here
 
 
 def corners_of(*points: F64) -> F64:

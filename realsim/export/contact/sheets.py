@@ -20,7 +20,7 @@ from realsim.export.contact.columns import SHEET
 from realsim.export.contact.islands import ROUGH
 from realsim.export.contact.outline import area, convex_parts, outlines, sides
 from realsim.export.contact.patches import LEAST, Patch, Samples, patches, sampled
-from realsim.export.contact.polytope import Polytope, among
+from realsim.export.contact.polytope import Polytope
 from realsim.export.contact.prisms import Prism, as_contact, as_geom, placed
 from realsim.export.contact.probe import Reference
 from realsim.export.contact.seams import overlap
@@ -97,9 +97,8 @@ def _is_solid(prisms: list[Prism], samples: Samples, near: float) -> bool:
         prisms: what it is made of.
         near: metres from its faces up to which surface is its own.
     """
-    corners = np.concatenate([prism.corners for prism in prisms])
-    low, high = corners.min(0) - near, corners.max(0) + near
-    around = samples.where(among(samples.points, low, high))
+    bounds = Polytope(np.concatenate([prism.corners for prism in prisms]))
+    around = samples.where(bounds.about(samples.points, near))
     on, air = np.zeros((2, len(around.points)), bool)
     front = around.points + FRONT * around.normals
     for part in [prism.solid for prism in prisms]:

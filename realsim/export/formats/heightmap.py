@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from realsim.core.errors import ExportError
 from realsim.core.files import to_json, write_bytes, write_text
 from realsim.export.formats.scene import SceneOnDisk
 from realsim.export.heights import height_grid
+from realsim.export.visual import png_bytes
 
 RESOLUTION = 0.02  # metres between nodes
 UNSEEN = 65535  # PNG value where nothing was seen
@@ -24,7 +24,7 @@ def heightmap(scene: SceneOnDisk, folder: Path) -> list[Path]:
     arrays = io.BytesIO()
     np.savez_compressed(arrays, z=grid.z.astype(np.float32), lower=grid.lower, spacing=grid.spacing)
     write_bytes(folder / "heightmap.npz", arrays.getvalue())
-    write_bytes(folder / "heightmap.png", _png(image[::-1]))
+    write_bytes(folder / "heightmap.png", png_bytes(image[::-1]))
     metadata = {
         "metres": "z = offset + step * value",
         "offset_m": lowest,
@@ -37,12 +37,3 @@ def heightmap(scene: SceneOnDisk, folder: Path) -> list[Path]:
     }
     write_text(folder / "heightmap.json", to_json(metadata))
     return [folder / f"heightmap.{end}" for end in ("npz", "png", "json")]
-
-
-def _png(image: np.ndarray) -> bytes:
-    import cv2
-
-    ok, data = cv2.imencode(".png", np.ascontiguousarray(image))
-    if not ok:
-        raise ExportError("the height map could not be encoded", found=f"{image.shape[1]} x {image.shape[0]} pixels")
-    return data.tobytes()

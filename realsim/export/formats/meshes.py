@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from realsim.core.files import write_bytes
+from realsim.core.files import write_files
 from realsim.core.meshes import ply_bytes, vertex_normals
 from realsim.export.formats.scene import SceneOnDisk
 from realsim.export.gltf import glb_bytes
@@ -18,23 +18,18 @@ def glb(scene: SceneOnDisk, folder: Path) -> list[Path]:
     Vertex colours alone are grey in programs that show a material's texture only (Blender as it opens).
     """
     normals = vertex_normals(scene.vertices, scene.triangles)
-    path = folder / "terrain.glb"
     if scene.colors is None:
-        write_bytes(path, glb_bytes(scene.vertices, scene.triangles, normals))
-        return [path]
+        return write_files(folder, {"terrain.glb": glb_bytes(scene.vertices, scene.triangles, normals)})
     image, uv = bake(scene.vertices, scene.triangles, scene.colors)
     corners = scene.triangles.ravel()
     own = np.arange(len(corners), dtype=np.int32).reshape(-1, 3)
-    write_bytes(path, glb_bytes(scene.vertices[corners], own, normals[corners], texture=(image, uv.reshape(-1, 2))))
-    return [path]
+    data = glb_bytes(scene.vertices[corners], own, normals[corners], texture=(image, uv.reshape(-1, 2)))
+    return write_files(folder, {"terrain.glb": data})
 
 
 def obj(scene: SceneOnDisk, folder: Path) -> list[Path]:
     """Wavefront OBJ, z up, with a material and a texture where the scan has colour."""
-    files = drawn(scene, "terrain")
-    for name, data in files.items():
-        write_bytes(folder / name, data)
-    return [folder / name for name in files]
+    return write_files(folder, drawn(scene, "terrain"))
 
 
 def drawn(scene: SceneOnDisk, name: str) -> dict[str, bytes]:
@@ -48,16 +43,12 @@ def drawn(scene: SceneOnDisk, name: str) -> dict[str, bytes]:
 
 def stl(scene: SceneOnDisk, folder: Path) -> list[Path]:
     """Binary STL, metres, z up; the format has no colour."""
-    path = folder / "terrain.stl"
-    write_bytes(path, stl_bytes(scene.vertices, scene.triangles))
-    return [path]
+    return write_files(folder, {"terrain.stl": stl_bytes(scene.vertices, scene.triangles)})
 
 
 def ply(scene: SceneOnDisk, folder: Path) -> list[Path]:
     """Binary PLY with vertex colours, z up."""
-    path = folder / "terrain.ply"
-    write_bytes(path, ply_bytes(scene.vertices, scene.triangles, scene.colors))
-    return [path]
+    return write_files(folder, {"terrain.ply": ply_bytes(scene.vertices, scene.triangles, scene.colors)})
 
 
 def stl_bytes(vertices: np.ndarray, triangles: np.ndarray) -> bytes:

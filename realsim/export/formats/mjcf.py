@@ -10,6 +10,7 @@ import numpy as np
 from realsim.core.errors import ExportError
 from realsim.core.files import explain_write_errors, to_json, write_text
 from realsim.core.geometry import R_to_quat
+from realsim.export.contact.cost import with_g1
 from realsim.export.formats.scene import SceneOnDisk, height_nodes
 from realsim.export.mjcf import HFIELD_CONTACT, numbers
 
@@ -62,12 +63,8 @@ def _advice(text: str, scene: SceneOnDisk) -> dict[str, Any]:
     """nconmax and njmax a world: twice the most contacts and constraint rows seen with G1 standing and falling."""
     import mujoco
 
-    from realsim.robots.g1 import g1
-
     centre = scene.sites["start"][0] if "start" in scene.sites else scene.bounds.mean(0) * [1, 1, 0]
-    spec = mujoco.MjSpec.from_string(text)
-    spec.attach(g1().placed(np.asarray(centre)).spec, frame=spec.worldbody.add_frame(), prefix="g1/")
-    model = spec.compile()
+    model = with_g1(mujoco.MjSpec.from_string(text), np.asarray(centre))
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
     data.ctrl[:] = 0

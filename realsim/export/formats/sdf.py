@@ -3,7 +3,7 @@
 import xml.etree.ElementTree as ET  # writing only
 from pathlib import Path
 
-from realsim.core.files import write_bytes, write_text
+from realsim.core.files import write_files, write_text
 from realsim.export.formats.meshes import drawn, stl_bytes
 from realsim.export.formats.scene import SceneOnDisk
 from realsim.export.formats.urdf import roll_pitch_yaw
@@ -43,11 +43,10 @@ def sdf(scene: SceneOnDisk, folder: Path) -> list[Path]:
         _mesh(ET.SubElement(link, "collision", name=part.name), f"{part.name}.stl")
         files[f"meshes/{part.name}.stl"] = stl_bytes(part.vertices, part.triangles)
     ET.indent(root, "  ")
-    for name, data in files.items():
-        write_bytes(folder / name, data)
+    written = write_files(folder, files)
     write_text(folder / "model.sdf", '<?xml version="1.0"?>\n' + ET.tostring(root, "unicode") + "\n")
     write_text(folder / "model.config", CONFIG)
-    return [folder / "model.sdf", folder / "model.config", *(folder / name for name in files)]
+    return [folder / "model.sdf", folder / "model.config", *written]
 
 
 def _mesh(parent: ET.Element, name: str) -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from realsim.core.files import write_bytes, write_text
+from realsim.core.files import write_files, write_text
 from realsim.export.formats.meshes import drawn, stl_bytes
 from realsim.export.formats.scene import Box, SceneOnDisk
 from realsim.export.mjcf import numbers
@@ -27,10 +27,9 @@ def urdf(scene: SceneOnDisk, folder: Path) -> list[Path]:
         files[f"{part.name}.stl"] = stl_bytes(part.vertices, part.triangles)
         ET.SubElement(ET.SubElement(collision, "geometry"), "mesh", filename=f"{part.name}.stl")
     ET.indent(robot, "  ")
-    for name, data in files.items():
-        write_bytes(folder / name, data)
+    written = write_files(folder, files)
     write_text(folder / "terrain.urdf", '<?xml version="1.0"?>\n' + ET.tostring(robot, "unicode") + "\n")
-    return [folder / "terrain.urdf", *(folder / name for name in files)]
+    return [folder / "terrain.urdf", *written]
 
 
 def roll_pitch_yaw(box: Box) -> np.ndarray:
