@@ -75,11 +75,15 @@ def sheets(shape: Shape, config: SceneConfig) -> ContactModel:
     kept = [prism for parts in solids if _is_solid(parts, samples, near) for prism in parts]
     lost = samples.where(~_felt(samples.points, kept, whole.floor, near))
     slabs = _carriers(lost, surface, whole.floor, tolerance, mesh.resolution)
-    # What things land on reaches into what is beside it.
+    # What things land on reaches into what is beside it, and what lies against a solid into that: a ball would stay.
     carrying = [slab[0] for patch, slab in slabs if slab[1] is None and patch.axes[2, 2] > 0]
-    solid = overlap(as_contact("sheets", [*kept, *carrying], whole.floor, {}), tolerance)
-    others = [slab for patch, slab in slabs if slab[1] is not None or patch.axes[2, 2] <= 0]
-    made = [as_geom(f"sheet_{k}", *slab) for k, slab in enumerate(others)]
+    others = [(patch, slab) for patch, slab in slabs if slab[1] is not None or patch.axes[2, 2] <= 0]
+    behind = np.array([placed(*slab).mean(0) - (near + THIN) * patch.axes[2] for patch, slab in others]).reshape(-1, 3)
+    against = _felt(behind, kept, (), 0.0)
+    reaching = [placed(*slab) for (_, slab), on in zip(others, against, strict=True) if on]
+    solid = overlap(as_contact("sheets", [*kept, *carrying], whole.floor, {}, reaching), tolerance)
+    alone = [slab for (_, slab), on in zip(others, against, strict=True) if not on]
+    made = [as_geom(f"sheet_{k}", *slab) for k, slab in enumerate(alone)]
     geoms = (*solid.geoms, *(geom for geom, _ in made))
     assets = (*solid.assets, *(asset for _, asset in made if asset is not None))
     counts = {"solids": len(kept), "solids_left_out": sum(map(len, solids)) - len(kept), "sheets": len(slabs)}
