@@ -111,6 +111,19 @@ def test_a_seam_beside_a_face_that_bends_a_little_gets_a_part_where_a_ball_could
     np.testing.assert_allclose(settled(after, places, False), 0.21, atol=1e-3)
 
 
+def test_a_seam_at_the_top_of_a_steep_side_gets_a_part_as_far_out_as_that_goes() -> None:
+    """A deck of 4 cm, and a side under it that falls 2.5 for 1: 2 cm farther out, it is lower than the deck."""
+    deck = np.array([[x, y, z] for x in (0.0, 0.2) for y in (-0.3, 0.3) for z in (0.16, 0.2)])
+    side = np.array([[x, y, z] for x, z in ((0.195, 0.0), (0.195, 0.2), (0.275, 0.0)) for y in (-0.3, 0.3)])
+    before = as_contact("boxes", [], (floor_plane(0.0),), {}, [deck, side])
+    assert open_seams(parts_of(before)[0])
+    after = parts_of(overlap(before))[0]
+    assert not open_seams(after)
+    points = np.random.default_rng(0).uniform([0.1, -0.3, 0.1], [0.3, 0.3, 0.25], (20_000, 3))
+    above = points[:, 2] > 0.2 - 2.5 * np.maximum(points[:, 0] - 0.195, 0.0) + 0.015
+    assert not any(p.contains(points[above]).any() for p in after), "nothing is added to the shape"
+
+
 def test_pieces_of_a_convex_solid_are_one_part_and_a_dent_stays() -> None:
     """However it was cut: the hull of the pieces adds nothing. Over a gap, and in a corner, it would."""
     rings = [[[a * w, b * w, z] for a in (-1, 1) for b in (-1, 1)] for w, z in ((0.3, 0.0), (0.15, 0.25))]

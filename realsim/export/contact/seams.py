@@ -162,7 +162,8 @@ def _cover(part: Polytope, face: Face, j: int, other: Polytope) -> _Cover | None
     outside = clip(close, far)
     if bent := min(_width(inside), _width(outside)) <= NARROW:
         inside = clip(close, hull(part.section(face, -depth)))
-        outside = clip(close, hull(other.section(face, reach)))
+        while _width(outside := clip(close, hull(other.section(face, reach)))) <= NARROW < reach / 2:
+            reach /= 2  # farther out, a steep side has fallen below the face
     if min(_width(inside), _width(outside)) <= NARROW:
         return None
     core = [face.lifted(inside, -depth), face.lifted(close), face.lifted(outside, reach)]
