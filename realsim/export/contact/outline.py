@@ -45,7 +45,7 @@ def _fewest_corners(trace: F64, tolerance: float) -> F64:
     """The polygon with the fewest corners that stays near a traced ring; of several, the nearest."""
     start = int(np.argmax(((trace - trace.mean(0)) ** 2).sum(1)))
     closed = np.roll(trace, -start, axis=0)[[*range(len(trace)), 0]]
-    stays, fitted = _douglas_peucker(closed, COARSER[0] * tolerance), {}
+    stays, fitted = _douglas_peucker(closed, COARSER[0] * tolerance), dict[Edge, Line]()
     rings = [_simplified(closed, stays, factor * tolerance, fitted) for factor in COARSER]
     best, nearest = rings[0], np.inf
     for ring in sorted(rings, key=len):
@@ -59,7 +59,7 @@ def _fewest_corners(trace: F64, tolerance: float) -> F64:
     return best
 
 
-def _simplified(closed: F64, stays: F64, tolerance: float, fitted: dict[tuple[int, int], Line]) -> F64:
+def _simplified(closed: F64, stays: F64, tolerance: float, fitted: dict[Edge, Line]) -> F64:
     """Douglas-Peucker from the two farthest points, then every side fitted to the points that it stands for, and
     corners that were cut or rounded made sharp.
 

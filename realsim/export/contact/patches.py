@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from realsim.core import meshes
 from realsim.core.types import F64
 
-I64, Bool = NDArray[np.int64], NDArray[np.bool_]
+I64 = NDArray[np.int64]
+Bool = NDArray[np.bool_]
 Plane = tuple[F64, F64]  # a point and the normal
 NEIGHBOURS = 12
 ALIKE = 0.8  # least cosine between a point's normal and its patch's
