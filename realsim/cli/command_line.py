@@ -73,7 +73,7 @@ def _answered(arguments: list[str], as_json: bool) -> tuple[str, int]:
     if not arguments or arguments in (["-h"], ["--help"], ["help"]):
         return usage() + "\n", 0 if arguments else 2
     if arguments[0] == "--version":
-        return f"{__version__}\n", 0
+        return (to_json({"version": __version__}) if as_json else __version__) + "\n", 0
     if arguments[0] == "--completion":
         from realsim.cli.completion import script
 

@@ -162,11 +162,20 @@ def parse_yaml(text: str, path: Path) -> Any:
 
 
 def _expanded(node: Any, known: dict[int, int]) -> int:
-    """Values below a node of YAML, aliases counted each time; `known` has those of nodes that were counted before."""
+    """Values below a node of YAML, aliases counted each time; `known` has those of nodes that were counted before.
+
+    Raises:
+        ValueError: a name that one mapping has twice.
+    """
     if id(node) not in known:
         known[id(node)] = MAX_YAML_VALUES + 1  # of a node within itself
         entries = node.value if isinstance(getattr(node, "value", None), list) else []
         children = [c for entry in entries for c in (entry if isinstance(entry, tuple) else (entry,))]
+        names = set()
+        for name in (entry[0] for entry in entries if isinstance(entry, tuple)):
+            if (name.tag, str(name.value)) in names:  # the parser would take the last value without a word
+                raise ValueError(f"the name {name.value!r} twice, again in line {name.start_mark.line + 1}")
+            names.add((name.tag, str(name.value)))
         known[id(node)] = 1 + sum(_expanded(child, known) for child in children)
     return known[id(node)]
 

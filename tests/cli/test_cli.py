@@ -193,6 +193,8 @@ def test_errors_as_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
         said = json.loads(capsys.readouterr().out)
         assert said["error"].endswith("Error")
         assert said["message"]
+    assert main(["--version", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["version"]
 
 
 def test_values_that_do_not_fit_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -15,6 +15,7 @@ import pytest
 
 from realsim.core import files
 from realsim.core.errors import RealsimError
+from realsim.core.files import parse_yaml
 
 
 def test_output_folder_appears_only_when_complete(tmp_path: Path) -> None:
@@ -116,6 +117,16 @@ def test_json_of_an_unusual_kind_is_refused(text: str, tmp_path: Path) -> None:
     with pytest.raises(RealsimError, match="broken JSON") as error:
         files.read_json(tmp_path / "x.json")
     assert error.value.file == str(tmp_path / "x.json")
+
+
+@pytest.mark.parametrize("text", ["dt: 0.02\nkp: 1\ndt: 0.01\n", "a: {b: 1, b: 1}\n"])
+def test_a_name_that_stands_twice_in_yaml_is_refused(text: str) -> None:
+    with pytest.raises(RealsimError, match="broken YAML") as error:
+        parse_yaml(text, Path("deploy.yaml"))
+    assert "twice, again in line" in error.value.render()
+    assert parse_yaml("a: {b: 1}\nc: {b: 2}\n1: x\n'1': y\n", Path("deploy.yaml")) == {
+        "a": {"b": 1}, "c": {"b": 2}, 1: "x", "1": "y",
+    }  # fmt: skip
 
 
 def test_a_file_that_may_not_be_read_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
