@@ -26,9 +26,18 @@ def picture(draw: Draw, light: Tensor) -> Tensor:
     read, shot = draw.log_uniform(5e-4, 0.012, b, 1, 1, 1, 1), draw.log_uniform(5e-4, 0.015, b, 1, 1, 1, 1)
     x = x + (read**2 + shot**2 * x.clamp(min=0)).sqrt() * draw.normal(1, *x.shape)
     curve = draw.uniform(0.4, 0.55, b, 1, 1, 1, 1)
-    x = x.clamp(0, 1) ** curve
+    x = _developed(draw, x.clamp(0, 1) ** curve)
     x = jpeg(x.flatten(0, 1), draw.log_uniform(0.05, 1.5, b, 1).expand(b, v).flatten()).reshape(x.shape)
     return (x.clamp(0, 1) * 255).round() / 255
+
+
+def _developed(draw: Draw, x: Tensor) -> Tensor:
+    """Colours made stronger or weaker, and in half of the scenes edges made sharper, as phones and webcams do."""
+    b = len(x)
+    x = torch.lerp(x.mean(2, keepdim=True), x, draw.uniform(0.7, 1.4, b, 1, 1, 1, 1))
+    smooth = F.avg_pool2d(x.flatten(0, 1), 3, 1, 1, count_include_pad=False).reshape(x.shape)
+    sharpen = torch.where(draw.chance(0.5, b, 1, 1, 1, 1), draw.log_uniform(0.1, 1.2, b, 1, 1, 1, 1), 0.0)
+    return (x + sharpen * (x - smooth)).clamp(0, 1)
 
 
 def _vignette(x: Tensor, strength: Tensor) -> Tensor:

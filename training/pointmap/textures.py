@@ -12,8 +12,11 @@ from torch import Tensor
 
 from training.pointmap.draw import Draw
 
-PATTERNS = ("plain", "blotches", "checks", "bricks", "wood", "stripes", "speckle", "tiles", "marble", "mosaic", "print")
-_WEIGHTS = (2.0, 2.0, 0.7, 0.7, 2.0, 0.7, 1.5, 1.0, 1.0, 0.6, 1.0)
+PATTERNS = (
+    "plain", "blotches", "checks", "bricks", "wood", "stripes", "speckle", "tiles", "marble", "mosaic", "print", "planks",
+    "labels",
+)  # fmt: skip
+_WEIGHTS = (2.0, 2.0, 0.7, 0.7, 2.0, 0.7, 1.5, 1.0, 1.0, 0.6, 1.0, 1.5, 1.2)
 _CELLS = 64
 """Period of the noise."""
 
@@ -104,6 +107,15 @@ def _patterns(q: Tensor, coarse: Tensor, fine: Tensor, finest: Tensor, blur: Ten
     mark = (
         (_hash((q * q.new_tensor([23.0, 23.0, 9.0])).floor()) > 0.5) & (q[..., 2] * 9 % 1 > 0.5) & (_hash(cell) > 0.6)
     )
+    # Boards beside each other, each of its own tone, with grain along it and thin joints.
+    side = q[..., 1] + q[..., 2]
+    board = q[..., 0] / 5 + _hash(torch.stack([side.floor(), side.floor(), side.floor()], -1))
+    tone = _hash(torch.stack([board.floor(), side.floor(), board.floor()], -1)) - 0.5
+    grain = torch.sin(40 * side + 5 * coarse[..., 3] + 3 * fine[..., 3]) * _kept(7 * blur)
+    gap = ((side % 1 < 0.025) | (board % 1 < 0.005)).float() * _kept(20 * blur)
+    # A sheet with rows of writing on each of some cells, as the labels of a carton.
+    sheet = ((inside - 0.5).abs() < q.new_tensor([0.33, 0.33, 0.24])).all(-1) & (_hash(cell) > 0.5)
+    letters = (_hash((q * 24).floor()) > 0.45) & (q[..., 2] * 12 % 1 > 0.5)
     out = [
         0 * parity,
         ((coarse[..., 1] + 0.5 * fine[..., 1]) * 3 + 0.5).clamp(0, 1),
@@ -116,6 +128,8 @@ def _patterns(q: Tensor, coarse: Tensor, fine: Tensor, finest: Tensor, blur: Ten
         marble * seen,
         patch,
         0.9 * mark.float() * _kept(20 * blur),
+        torch.maximum(0.4 + 0.5 * tone + 0.15 * grain, gap),
+        sheet.float() * (1 - 0.7 * letters.float() * _kept(24 * blur)),
     ]
     return torch.stack(out, -1).clamp(0, 1)
 
