@@ -13,8 +13,8 @@ from torch import Tensor
 from training.pointmap.draw import Draw
 
 PATTERNS = (
-    "plain", "blotches", "checks", "bricks", "wood", "stripes", "speckle", "tiles", "marble", "mosaic", "print", "planks",
-    "labels",
+    "plain", "blotches", "checks", "bricks", "wood", "stripes", "speckle", "tiles", "marble", "mosaic", "print",
+    "planks", "labels",
 )  # fmt: skip
 _WEIGHTS = (2.0, 2.0, 0.7, 0.7, 2.0, 0.7, 1.5, 1.0, 1.0, 0.6, 1.0, 1.5, 1.2)
 _CELLS = 64
