@@ -2,6 +2,9 @@
 
 A joint follows its command: later, as far, near the same place. A velocity is the slope of its position. A torque goes
 with what inverse dynamics asks for, else with what the servo does. What does not agree is in doubt, whatever its names.
+
+The figures were set on fourteen recordings with 300 lies put in (columns exchanged, negated, in another unit, shifted):
+138 were silent before, 7 are. On ten other recordings with 192 lies, looked at afterwards, 87 and 6.
 """
 
 from collections import defaultdict
