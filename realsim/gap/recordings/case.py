@@ -22,7 +22,7 @@ from realsim.core.files import (
 from realsim.core.types import MjSpec
 from realsim.gap.recordings.arrays import run_arrays
 from realsim.gap.recordings.depth import write_frames
-from realsim.gap.recordings.model import Target
+from realsim.gap.recordings.model import NO_SERVOS, Target
 from realsim.gap.recordings.page import recording_page
 from realsim.gap.recordings.proposal import Proposal
 from realsim.gap.recordings.vocabulary import plain
@@ -57,7 +57,7 @@ def write_case(
     if not target.actuators:
         raise GapError(
             "the model has no actuators", file=target.path, expected="the robot's servos",
-            hint="realsim log ... --servos KP KD (N m/rad, N m s/rad) gives each joint one; a URDF has none",
+            hint=f"realsim log ... {NO_SERVOS}",
         )  # fmt: skip
     remarks: list[str] = []
     with output_folder(Path(out), overwrite=overwrite, source=proposal.recordings[0].path) as work:

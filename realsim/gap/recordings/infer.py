@@ -17,7 +17,7 @@ from realsim.gap.recordings.clocks import Clocked, clocked
 from realsim.gap.recordings.confirm import confirm
 from realsim.gap.recordings.depth import choose, is_frames
 from realsim.gap.recordings.evidence import Evidence
-from realsim.gap.recordings.model import Target
+from realsim.gap.recordings.model import NO_SERVOS, Target
 from realsim.gap.recordings.names import meaning
 from realsim.gap.recordings.pairing import LEADS, MOST_COLUMNS, blocks, leads
 from realsim.gap.recordings.proposal import Candidate, Proposal
@@ -224,6 +224,8 @@ def _missing(e: Evidence) -> None:
     missing += [f"{role}: {what}{_why_not(e, role)}" for role, what in optional.items() if role not in have]
     if target is None:
         missing.append("--model: without it the order, signs and units of joints are not tested")
+    elif not target.actuators:
+        missing.append(f"actuators of the model (needed): {NO_SERVOS}")
     elif proposal.joints:
         left = [j for j in target.joints if j not in proposal.joints]
         if left:

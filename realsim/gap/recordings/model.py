@@ -22,6 +22,10 @@ FOOT_HEIGHT = 0.05
 """m above the lowest leaf body in the reference pose up to which a leaf is taken for a foot."""
 
 
+NO_SERVOS = "--servos KP KD (N m/rad, N m s/rad) gives each joint one; a URDF has none"
+"""What to do about a model without actuators."""
+
+
 @dataclass(frozen=True)
 class Target:
     """A model, by joints (J hinge and slide joints in its order) and actuators (U)."""

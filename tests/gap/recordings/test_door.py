@@ -477,8 +477,10 @@ def test_a_urdf_of_ros_gets_servos_and_its_meshes(arm: Log, tmp_path: Path) -> N
     model = package / "urdf" / "arm.urdf"
     model.write_text(URDF)
     table = write(tmp_path / "a.csv", "time,command,position", arm.time, arm.command[:, 0], arm.pos[:, 0])
+    found = propose(read(table), bare := load_target(model))
+    assert any("--servos KP KD" in line for line in found.missing)
     with pytest.raises(GapError, match=r"no actuators[^$]*--servos KP KD"):
-        write_case(propose(read(table), bare := load_target(model)), bare, tmp_path / "none")
+        write_case(found, bare, tmp_path / "none")
     target = load_target(model, servos=(40, 2))
     write_case(propose(read(table), target), target, tmp_path / "case")
     made = load_case(tmp_path / "case").model
