@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from realsim.core.errors import RealsimError
 from realsim.core.files import read_bytes
@@ -196,6 +195,8 @@ def _cloud(surface: Surface, rng: np.random.Generator, spacing: float = 0.02) ->
 
 def _around(z: F64, reach: int, extreme: np.ufunc) -> F64:
     """The extreme (fmax or fmin) of the heights within `reach` cells of each, NaN left out."""
+    from scipy import ndimage
+
     filter_, none = (ndimage.maximum_filter, -np.inf) if extreme is np.fmax else (ndimage.minimum_filter, np.inf)
     out = filter_(np.where(np.isfinite(z), z, none), 2 * reach + 1, mode="constant", cval=none)
     return np.where(np.isfinite(out), out, np.nan)
@@ -203,6 +204,8 @@ def _around(z: F64, reach: int, extreme: np.ufunc) -> F64:
 
 def _pieces(mask: Bool, cell: float) -> list[Bool]:
     """The connected parts of a mask that are LEAST long and, less what their edges lose to SLACK, wide."""
+    from scipy import ndimage
+
     labels, _ = ndimage.label(mask)
     out = []
     for k, box in enumerate(ndimage.find_objects(labels), 1):
@@ -250,6 +253,8 @@ def _changes_of(raised: list[Bool], lowered: list[Bool], old: F64, new: F64, low
 
 def _thing(z: F64, piece: Bool) -> Bool:
     """The level neighbourhood of a piece: all of a top of which only a part changed."""
+    from scipy import ndimage
+
     level = float(np.nanmedian(z[piece]))
     labels, _ = ndimage.label((np.abs(z - level) < 2 * FLUSH) | piece)
     own = labels == np.bincount(labels[piece]).argmax()
@@ -258,6 +263,8 @@ def _thing(z: F64, piece: Bool) -> Bool:
 
 def _ring(z: F64, piece: Bool, cell: float) -> float:
     """Median height about a piece, from two to five centimetres off."""
+    from scipy import ndimage
+
     near = ndimage.binary_dilation(piece, iterations=int(0.02 / cell))
     ring = ndimage.binary_dilation(near, iterations=int(0.03 / cell)) & ~near & np.isfinite(z)
     return float(np.median(z[ring])) if ring.any() else float(np.nanmedian(z[piece]))

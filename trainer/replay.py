@@ -5,7 +5,6 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -121,6 +120,8 @@ def video(
 def _frames(
     recording: Recording, robot: TrainedRobot, terrain: Terrain, size: tuple[int, int], fps: float, distance: float
 ) -> list[NDArray[np.uint8]]:
+    import mujoco
+
     model = scene_model(robot, terrain, size)
     data = mujoco.MjData(model)
     camera = mujoco.MjvCamera()
@@ -153,6 +154,8 @@ def scene_model(robot: TrainedRobot, terrain: Terrain, size: tuple[int, int]) ->
 
     Of a reconstructed scene the measured surface is drawn in its colours, not what stands for it in contacts.
     """
+    import mujoco
+
     spec = world_spec(robot, terrain, slots_for([terrain]), PhysicsConfig())
     spec.visual.global_.offwidth, spec.visual.global_.offheight = size
     spec.visual.map.znear = 0.01
@@ -190,6 +193,8 @@ def scene_model(robot: TrainedRobot, terrain: Terrain, size: tuple[int, int]) ->
 
 def _draw_surface(spec: Any, file: Path) -> None:
     """A mesh that collides with nothing, with the texture that lies beside it."""
+    import mujoco
+
     spec.add_mesh(name="surface", file=str(file.resolve()), inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
     material = spec.add_material(name="surface", specular=0, shininess=0)
     picture = file.with_suffix(".png")

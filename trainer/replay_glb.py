@@ -3,10 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
-import trimesh
-from mujoco import mjtGeom
 from numpy.typing import NDArray
 
 from realsim.core.files import write_bytes
@@ -24,6 +21,8 @@ GROUND_MARGIN = 2.0
 
 def glb(recording: Recording, robot: TrainedRobot, terrain: Terrain, path: str | Path) -> Path:
     """Write the trial: terrain, ground, and a node for each body of the robot that moves as recorded."""
+    import mujoco
+
     model = world_spec(robot, terrain, slots_for([terrain]), PhysicsConfig()).compile()
     file = GltfFile()
     root = file.node("course", rotation=Z_UP_TO_Y_UP)
@@ -51,6 +50,8 @@ def glb(recording: Recording, robot: TrainedRobot, terrain: Terrain, path: str |
 
 def _body_poses(model: Any, qpos: F64) -> tuple[F64, F64]:
     """((T, B, 3) positions, (T, B, 4) quaternions w x y z) of all bodies, without jumps of the quaternions' sign."""
+    import mujoco
+
     data = mujoco.MjData(model)
     positions, quaternions = np.zeros((len(qpos), model.nbody, 3)), np.zeros((len(qpos), model.nbody, 4))
     for t, row in enumerate(qpos):
@@ -66,6 +67,9 @@ def _body_poses(model: Any, qpos: F64) -> tuple[F64, F64]:
 
 def _body_mesh(model: Any, body: int) -> tuple[F64, NDArray[np.int64]] | None:
     """The body's primitives as one mesh in its frame; None for a body without any."""
+    import trimesh
+    from mujoco import mjtGeom
+
     parts = []
     for geom in np.flatnonzero(model.geom_bodyid == body):
         kind, size = model.geom_type[geom], model.geom_size[geom]
@@ -100,6 +104,8 @@ def _mesh(
     file: GltfFile, name: str, vertices: F64, triangles: NDArray[np.int64], colour: tuple[float, float, float]
 ) -> int:
     """A mesh in one colour (linear RGB)."""
+    import trimesh
+
     normals = np.asarray(trimesh.Trimesh(vertices, triangles, process=False).vertex_normals)
     pbr = {"baseColorFactor": [*colour, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.8}
     return file.mesh(name, vertices, normals, triangles, pbr)

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from realsim.align.winding import inside_out, is_closed, main_direction
 from realsim.core.errors import AlignError
@@ -203,6 +202,8 @@ def _merged(parts: list[tuple[NDArray[np.int64], F64]]) -> tuple[NDArray[np.int6
 
 def _voxel_for(points: F64) -> float:
     """Metres: `VOXEL`, or what holds `OCCUPANCY` points of a surface as dense as this cloud's median."""
+    from scipy.spatial import cKDTree
+
     if len(points) < 100:
         return VOXEL
     some = points[np.linspace(0, len(points) - 1, min(len(points), 2000)).astype(int)]

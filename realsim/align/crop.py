@@ -1,7 +1,6 @@
 """Separates the terrain from surface that is cut away."""
 
 import numpy as np
-from scipy.ndimage import label
 
 from realsim.align.cloud import Cloud
 from realsim.align.segment import Label, Labels
@@ -28,6 +27,8 @@ def crop(
     stride of it until nothing more is near; then the margin of ground. Without these, the terrain is all that stands
     low on the ground (all ground, if nothing stands there).
     """
+    from scipy.ndimage import label
+
     standing = (labels == Label.OBSTACLE) | (labels == Label.PLATFORM)
     xy = cloud.points[:, :2]
     clusters: list[F64] = []

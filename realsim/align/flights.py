@@ -12,8 +12,6 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
-from scipy.stats import siegelslopes
 
 from realsim.align.cloud import VOXEL, Cloud
 from realsim.align.faces import LEVEL_DEG, connected, plane_of, seen_area, smooth_regions
@@ -178,6 +176,8 @@ def _fronts(faces: list[F64]) -> F64:
 
 def _front(xy: F64, toward: F64) -> F64:
     """(2, 2) ends of the edge of points (M, 2) toward a place: a line through the foremost of each 4 cm along them."""
+    from scipy.stats import siegelslopes
+
     middle = xy.mean(0)
     along = np.linalg.svd(xy - middle, full_matrices=False)[2][0]
     across = np.array([-along[1], along[0]])
@@ -204,6 +204,8 @@ def _outline(xy: F64, front: F64, following: F64) -> F64:
 
 def _apart(cloud: Cloud, a: Indices, b: Indices) -> float:
     """Metres between two faces in the plan."""
+    from scipy.spatial import cKDTree
+
     return float(cKDTree(cloud.points[a, :2]).query(cloud.points[b, :2])[0].min())
 
 

@@ -2,7 +2,6 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation, label
 
 from realsim.align.cloud import Cloud
 from realsim.align.faces import LEAST_AREA, LEVEL_DEG, cells_of, large, plane_of, smooth_regions
@@ -73,6 +72,8 @@ def ground_band(cloud: Cloud) -> F64:
 
 def _obstacles(points: F64, band: F64, voxel: float) -> Bool:
     """Points of clusters that stand on the ground and are low; tall columns are taken out before clustering."""
+    from scipy.ndimage import label
+
     out = np.zeros(len(points), bool)
     standing = np.flatnonzero((points[:, 2] > band) & (points[:, 2] < 4.0))
     if not len(standing):
@@ -95,6 +96,8 @@ def _obstacles(points: F64, band: F64, voxel: float) -> Bool:
 
 def _near(xy: F64, region: F64, size: float, distance: float = 0.05) -> Bool:
     """Which points lie within `distance` of a region of points (on a grid of cells of `size`)."""
+    from scipy.ndimage import binary_dilation
+
     low = region.min(0) - 2 * distance
     shape = np.ceil((region.max(0) + 2 * distance - low) / size).astype(int) + 1
     grid = np.zeros(shape, bool)

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from realsim.align.cloud import Cloud
 from realsim.align.faces import LEVEL_DEG, connected, large, plane_of, seen_area
@@ -58,6 +57,8 @@ def find_faces(cloud: Cloud, labels: Labels) -> list[Face]:
 
 def _level(points: F64) -> bool:
     """Whether a face slopes under a foot as it does as a whole: a ring of tilted tops is level only as a whole."""
+    from scipy.spatial import cKDTree
+
     whole, _ = plane_of(points)
     tree = cKDTree(points[:, :2])
     under = tree.query_ball_point(points[:: max(1, len(points) // 50), :2], FOOT)

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_closing, binary_erosion, distance_transform_edt, label, uniform_filter
 
 from realsim.core.types import F64, Bool
 
@@ -32,6 +31,8 @@ MARGIN = 12
 
 def split(points: F64, cell: float = 0.02) -> list[NDArray[np.intp]]:
     """Indices of the points (M, 3), `cell` metres apart, of each face. What is too narrow for one is in none."""
+    from scipy.ndimage import binary_erosion, distance_transform_edt, label
+
     cells = np.floor((points[:, :2] - points[:, :2].min(0)) / cell).astype(np.int64) + MARGIN
     shape = tuple(cells.max(0) + MARGIN + 1)
     seen, height = _heights(points, cells, shape)
@@ -68,6 +69,8 @@ def _heights(points: F64, cells: NDArray[np.int64], shape: tuple[int, ...]) -> t
 
 def _filled(seen: Bool, cell: float) -> Bool:
     """The seen cells and the small gaps between them."""
+    from scipy.ndimage import binary_closing, label
+
     closed = np.asarray(binary_closing(seen, np.ones((3, 3))), bool)
     gaps, _ = label(~closed)
     size = np.bincount(gaps.ravel())
@@ -76,6 +79,8 @@ def _filled(seen: Bool, cell: float) -> Bool:
 
 def _steps(seen: Bool, height: F64, cell: float) -> Bool:
     """Cells on a line along which the surface steps up or down."""
+    from scipy.ndimage import label, uniform_filter
+
     weight = uniform_filter(seen.astype(float), 3)
     mean = np.divide(uniform_filter(height, 3), weight, out=np.zeros_like(height), where=weight > 0)
     known = weight > 0.5

@@ -13,8 +13,6 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import bsr_matrix, csc_matrix, diags_array, issparse
-from scipy.sparse.linalg import splu
 
 from realsim.core.types import F64
 
@@ -80,6 +78,9 @@ class Normal:
     out first."""
 
     def __init__(self, A: Any, eliminated: int = 0) -> None:
+        from scipy.sparse import bsr_matrix, csc_matrix, issparse
+        from scipy.sparse.linalg import splu
+
         self.kept = A.shape[0] - eliminated
         """Unknowns that are not eliminated; `solve_kept` solves for them with nothing on the others' right side."""
         self.inner_inverse: F64 = np.zeros((0, 3, 3))
@@ -233,6 +234,8 @@ def _rows(J: Any, weight: F64) -> Any:
 
 
 def _raised(H: Any, diagonal: F64) -> Any:
+    from scipy.sparse import diags_array
+
     return H + (np.diag(diagonal) if isinstance(H, np.ndarray) else diags_array(diagonal))
 
 

@@ -1,7 +1,6 @@
 """Comparison of sources of points: figures of one capture's scene by each of them."""
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from realsim.core.meshes import across, areas, sampled
 from realsim.core.types import AlignedScene, Mode, Pointmaps, TerrainMesh
@@ -42,6 +41,8 @@ def figures(
 
 def _apart(mesh: TerrainMesh, delivered: TerrainMesh) -> float:
     """Median distance of points on one seen surface from the plane of the nearest triangle of the other."""
+    from scipy.spatial import cKDTree
+
     centres = delivered.vertices[delivered.seen].mean(1)
     normals = across(delivered.vertices, delivered.seen)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-15)

@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from realsim.core.meshes import sum_by_key
 from realsim.core.ordered import by_rows
@@ -115,6 +114,8 @@ def project(points: Points, radius: float, iterations: int = 2, neighbours: int 
     whose neighbours nearly all face another way are dropped: their normal is wrong.
     The noise is the robust deviation of a point from its neighbours' plane, metres.
     """
+    from scipy.spatial import cKDTree
+
     P, N = points.points, points.normals
     if len(P) < neighbours:
         return points, 0.0
@@ -148,6 +149,8 @@ def drop_tails(points: Points, radius: float, ratio: float = 0.05) -> Points:
 
     A surface that was seen once and far from anything better stays.
     """
+    from scipy.spatial import cKDTree
+
     strong = points.weights >= np.quantile(points.weights, 0.6)
     weak = np.flatnonzero(~strong)
     if len(weak) == 0:

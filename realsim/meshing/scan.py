@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from realsim.core.errors import MeshError
 from realsim.core.geometry import transform
@@ -110,6 +109,7 @@ def oriented(surface: Surface) -> Surface:
 def _surface_of_cloud(
     points: F64, normals: F64 | None, colors: np.ndarray | None, sensor: F64 | None, config: MeshConfig
 ) -> tuple[Surface, float, float | None, str]:
+    from scipy.spatial import cKDTree
 
     from realsim.core.open3d import o3d
 
@@ -146,6 +146,8 @@ def outward(points: F64, normals: F64, reach: float, neighbours: int = 24) -> F6
     Args:
         points, normals: (M, 3) metres, z up; unit, of either sign.
     """
+    from scipy.spatial import cKDTree
+
     normals = np.where(normals[:, 2:] < 0, -normals, normals)
     level = normals[:, 2] > LEVEL
     side = np.flatnonzero(~level)

@@ -2,7 +2,6 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from realsim.core.errors import MeshError
 from realsim.core.types import F64, AlignedScene, Bool, TerrainMesh
@@ -148,6 +147,8 @@ class Columns:
 
         Such a curtain is thinner than five cells and has no surface along it; a real thin wall has.
         """
+        from scipy import ndimage
+
         above = self.occupied & (self.axes[2] > self.ground_z + self.cell)[None, None, :]
         index = np.argwhere(above)
         if len(index) == 0:
@@ -162,6 +163,7 @@ class Columns:
 
     def surface(self, occupied: Bool, near: Surface) -> Surface:
         """The closed border of the occupied nodes; where `near` runs within two cells, exactly along it."""
+        from scipy import ndimage
         from skimage.measure import marching_cubes
 
         field: NDArray[np.float32] = np.where(occupied, -1.0, 1.0).astype(np.float32)
@@ -181,6 +183,8 @@ class Columns:
 
 def without_crumbs(occupied: Bool, cell: float) -> Bool:
     """Without enclosed bubbles, and without pieces smaller than CRUMB that touch nothing."""
+    from scipy import ndimage
+
     occupied = ndimage.binary_fill_holes(occupied)
     label, n = ndimage.label(occupied)
     if n > 1:

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from realsim.core.meshes import across, areas, compact, edges_of, linked, merged, sampled
 from realsim.core.rays import Rays
@@ -93,6 +92,8 @@ def drop_islands(surface: Surface, min_area: float) -> tuple[Surface, int]:
 
 def colored_from(surface: Surface, points: F64, colors: U8 | None) -> Surface:
     """The surface with colours averaged from the nearest points (M, 3) with RGB (M, 3)."""
+    from scipy.spatial import cKDTree
+
     if colors is None or len(points) == 0:
         return Surface(surface.vertices, surface.triangles)
     k = min(4, len(points))

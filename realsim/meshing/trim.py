@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from realsim.core.meshes import vertex_normals
 from realsim.meshing.fuse import Points
@@ -19,6 +18,8 @@ def keep_measured(
 ) -> Surface:
     """The triangles whose corners all have a fused point within reach that faces the same way (within 60 degrees), and
     of which none lies in space that the cameras of `maps` looked through. Corners close to a fused point are safe."""
+    from scipy.spatial import cKDTree
+
     corners, triangles = surface.vertices, surface.triangles
     distance, near = cKDTree(points.points).query(corners, k=4, workers=2)
     agree = np.einsum("vki,vi->vk", points.normals[near], vertex_normals(corners, triangles)) > 0.5

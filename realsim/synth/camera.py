@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import PchipInterpolator
 
 from realsim.core.geometry import exp_so3, make_T
 from realsim.core.types import F32, F64, Bool, Intrinsics
@@ -59,6 +58,8 @@ SWAY = (0.03, 0.03, 0.03, 0.05, 0.05, 0.04, 0.04)
 
 def follow_route(eyes: F64, aims: F64, count: int, rng: np.random.Generator, amplitudes: Sequence[float] = SWAY) -> F64:
     """(count, 4, 4) poses along a way (K, 3) with the points (K, 3) looked at; the hand sways a little."""
+    from scipy.interpolate import PchipInterpolator
+
     at = np.r_[0, np.cumsum(np.linalg.norm(np.diff(eyes, axis=0), axis=1))]
     s = np.linspace(0, 1, count)
     eye, aim = (PchipInterpolator(at / at[-1], points)(s) for points in (eyes, aims))
@@ -84,6 +85,8 @@ def walk(bounds: F64, count: int, rng: np.random.Generator, *, both_sides: bool 
     Args:
         bounds: (2, 3) of the terrain.
     """
+    from scipy.interpolate import PchipInterpolator
+
     low, high = bounds
     length, height = high[0] - low[0], 1.12 + high[2]
     right = low[1] - 0.62

@@ -24,7 +24,7 @@ def test_the_hash_follows_what_can_change_an_answer_and_nothing_else(tmp_path: P
     assert hash_of(tmp_path) == engine()
     (gap / "report" / "words.py").write_text("# another page")
     assert hash_of(tmp_path) == engine()
-    effect = gap / "effects" / "payload.py"
+    effect = gap / "effects" / "bodies.py"
     effect.write_text(effect.read_text() + "\n# another law\n")
     assert hash_of(tmp_path) != engine()
 

@@ -1,8 +1,6 @@
 """Edges of footholds: where a sole can slip off. The reward for placing feet looks at them (the paper's appendix)."""
 
-import mujoco
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from realsim.core.geometry import make_T, quat_to_R, transform
 from realsim.core.meshes import mesh_of
@@ -51,6 +49,8 @@ def convex_parts(terrain: Terrain) -> list[Convex]:
     if terrain.contact is None:
         return [_of_box(b) for b in terrain.boxes]
     # Box and mesh geoms of the compiled specification, those that collide; meshes as their hulls.
+    import mujoco
+
     model = terrain.contact.compile()
     parts = []
     for i in range(model.ngeom):
@@ -71,6 +71,8 @@ def _of_box(box: Box) -> Convex:
 
 def _hull(points: F64) -> Convex:
     """The hull with nearly coplanar triangles joined into rings, the largest first."""
+    from scipy.spatial import ConvexHull
+
     hull = ConvexHull(points)
     triangles = points[hull.simplices]
     area = np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1)

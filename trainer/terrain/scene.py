@@ -3,9 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
 from realsim.core.errors import RealsimError
@@ -99,6 +97,8 @@ def _numbers(folder: Path, value: Any, what: str, count: int, unit: str = "metre
 
 def _mesh(folder: Path, start: Platform, goal: Platform) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """((V, 3), (F, 3)) of mesh.ply, in which both platforms must lie: a mesh of another scale is another scene's."""
+    import trimesh
+
     path = _file(folder, "mesh.ply")
     try:
         mesh = trimesh.load_mesh(path, process=False)
@@ -163,6 +163,8 @@ def _platform(folder: Path, report: dict[str, Any], role: str) -> Platform:
 
 def _contact(folder: Path, floor: float) -> Any:
     """The scene's specification with nothing left but what collides above the ground, which is the engine's own."""
+    import mujoco
+
     path = _file(folder, "scene.xml")
     check_mjcf(path, folder, TrainerError)
     try:
@@ -189,6 +191,8 @@ def _contact(folder: Path, floor: float) -> Any:
 
 def _low_geoms(spec: Any, height: float) -> set[str]:
     """Names of the geoms that lie wholly below `height` metres."""
+    import mujoco
+
     model = spec.compile()
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)

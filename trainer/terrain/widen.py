@@ -4,10 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-import mujoco
 import numpy as np
-from scipy.ndimage import grey_dilation
-from scipy.spatial import ConvexHull
 
 from realsim.core.geometry import R_to_quat, make_T, quat_to_R, transform
 from realsim.core.meshes import mesh_of
@@ -67,6 +64,8 @@ def _wider_box(box: Box, half: float) -> Box:
 
 def _wider_contact(spec: Any, half: float) -> tuple[Any, list[tuple[F64, Any]]]:
     """(A copy of a `mujoco.MjSpec` with grown world geoms, the surface of each part)."""
+    import mujoco
+
     copy, model = spec.copy(), spec.compile()
     parts: list[tuple[F64, Any]] = []
     for i, geom in enumerate(list(copy.worldbody.geoms)):
@@ -94,6 +93,8 @@ def _wider_contact(spec: Any, half: float) -> tuple[Any, list[tuple[F64, Any]]]:
 
 def _grown_hull(points: F64, half: float) -> tuple[F64, Any]:
     """((V, 3), (F, 3)) the convex hull of points moved to the corners of a level square, outward triangles."""
+    from scipy.spatial import ConvexHull
+
     spread = (points[:, None] + half * _CORNERS).reshape(-1, 3)
     hull = ConvexHull(spread)
     corners = spread[hull.vertices]
@@ -108,6 +109,8 @@ def _grown_hull(points: F64, half: float) -> tuple[F64, Any]:
 
 def _dilate(copy: Any, model: Any, field: int, half: float) -> None:
     """Every cell takes the highest of those at most `half` metres away."""
+    from scipy.ndimage import grey_dilation
+
     rows, columns = int(model.hfield_nrow[field]), int(model.hfield_ncol[field])
     first = model.hfield_adr[field]
     heights = np.asarray(model.hfield_data[first : first + rows * columns], float).reshape(rows, columns)

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from realsim.core.geometry import invert_T, transform
 from realsim.core.ordered import in_order
@@ -152,6 +151,8 @@ def _coarse(depth: NDArray[np.float32], rows: int) -> NDArray[np.float32]:
 
 def _nearest(depth: NDArray[np.float32]) -> NDArray[np.float32]:
     """The nearest depth of each cell and its neighbours; 0 where one of them is unknown."""
+    from scipy import ndimage
+
     return np.asarray(ndimage.minimum_filter(depth, 3, mode="nearest"))
 
 
@@ -179,6 +180,8 @@ def _looked_through(depth: Any, near: Any, cameras: Any, T: F64) -> tuple[Any, A
 
 def _grown(found: Bool, unknown: Bool, distance: F64) -> Bool:
     """With the cells beside it of which no frame can tell, as far as they are no farther than what they adjoin."""
+    from scipy import ndimage
+
     while True:
         beside = ndimage.maximum_filter(np.where(found, distance, 0), 3)
         more = ~found & unknown & (beside > 0) & (distance < (1 + STEADY) * beside)
@@ -188,4 +191,6 @@ def _grown(found: Bool, unknown: Bool, distance: F64) -> Bool:
 
 
 def _wider(cells: Bool) -> Bool:
+    from scipy import ndimage
+
     return np.asarray(ndimage.binary_dilation(cells, np.ones((3, 3))))

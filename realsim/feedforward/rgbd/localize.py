@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
-from scipy.spatial import cKDTree
 
 from realsim.core.geometry import invert_T
 from realsim.core.least_squares import cauchy, least_squares
@@ -110,6 +109,8 @@ def localize(
 
 def _sightings(views: Sequence[View], T: F64, landmarks: Landmarks) -> NDArray[np.int64]:
     """(3, K): views, their features, and the tracks' points that these match."""
+    from scipy.spatial import cKDTree
+
     known = list(landmarks.views)
     point_of, start = landmarks.tracks.of_features(known)
     centres = landmarks.T_world_camera

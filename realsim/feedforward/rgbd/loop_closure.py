@@ -14,8 +14,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import dijkstra
 
 from realsim.core.errors import PoseError
 from realsim.core.geometry import angle_deg, invert_T, transform
@@ -176,6 +174,9 @@ def keep_plausible(evidence: Evidence, pairs: Sequence[tuple[int, int]], T: F64)
 def _borne_out(evidence: Evidence, found: list[Match], T: F64) -> list[Match]:
     """Without matches that put their frames farther from where T has them than a way between the two, along matches
     that agree with T, can be off by. Where many are false, those that no such way can check say nothing either."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import dijkstra
+
     i, j = np.array([(m.i, m.j) for m in found], int).reshape(-1, 2).T
     # Median distance of the matched points under poses T from where the match has them, metres.
     off = np.zeros(len(found))

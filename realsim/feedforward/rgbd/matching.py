@@ -3,7 +3,6 @@
 from collections.abc import Iterable, Sequence
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from realsim.core.geometry import invert_T, make_T, transform
 from realsim.core.types import F64
@@ -115,6 +114,8 @@ def match_guided(views: Sequence[View], i: int, j: int, T_i_j: F64, radius_px: f
     Finds more than blind matching, and repeated texture cannot mislead it beyond the radius. A wider radius joins
     neighbouring features into contradictory tracks: 6 pixels instead of 3 halves the tracks of a rendered capture.
     """
+    from scipy.spatial import cKDTree
+
     A, B = views[i], views[j]
     P = transform(invert_T(T_i_j), A.points)
     front = np.flatnonzero(P[:, 2] > 0.05)
@@ -186,6 +187,8 @@ def is_ambiguous(views: Sequence[View], edge: Edge) -> bool:
 
 def propose_starts(a: tuple[F64, F64], b: tuple[F64, F64], rng: np.random.Generator) -> list[F64]:
     """Motions to start from: rest, and that of matched `describe_shape` if enough of them agree."""
+    from scipy.spatial import cKDTree
+
     (P, f), (Q, g) = a, b
     rest = [np.eye(4)]
     if min(len(P), len(Q)) < 50:

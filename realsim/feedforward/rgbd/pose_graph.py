@@ -9,9 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix, csr_matrix
-from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
-from scipy.spatial.transform import Rotation
+from scipy.sparse import csr_matrix
 
 from realsim.core.geometry import invert_T
 from realsim.core.least_squares import cauchy, least_squares
@@ -54,6 +52,9 @@ def components(count: int, edges: Sequence[Edge]) -> list[NDArray[np.int64]]:
 
 def chain_poses(count: int, edges: Sequence[Edge], root: int = 0) -> F64:
     """(N, 4, 4) poses along the maximum spanning tree of weights, `root` at the identity; NaN where unreachable."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
+
     T = np.full((count, 4, 4), np.nan)
     T[root] = np.eye(4)
     if not edges:
@@ -123,6 +124,8 @@ def hat(w: F64) -> F64:
 
 def exp_se3(d: F64) -> F64:
     """(N, 6) steps (v, w) to (N, 4, 4): translation v, rotation exp(w). A retraction, not the group's exponential."""
+    from scipy.spatial.transform import Rotation
+
     T = np.tile(np.eye(4), (len(d), 1, 1))
     T[:, :3, :3] = Rotation.from_rotvec(d[:, 3:]).as_matrix()
     T[:, :3, 3] = d[:, :3]
@@ -131,6 +134,8 @@ def exp_se3(d: F64) -> F64:
 
 def log_se3(T: F64) -> F64:
     """(N, 4, 4) to (N, 6), the inverse of `exp_se3`."""
+    from scipy.spatial.transform import Rotation
+
     return np.concatenate([T[:, :3, 3], Rotation.from_matrix(T[:, :3, :3]).as_rotvec()], 1)
 
 

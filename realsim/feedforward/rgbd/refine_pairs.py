@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from realsim.core.geometry import invert_T
 from realsim.core.types import F64
@@ -52,6 +51,8 @@ def choose_overlapping(views: Sequence[View], T: F64, count: int = NEIGHBOURS) -
 
     Near centres and like directions come first, so that the cost stays linear in the number of views.
     """
+    from scipy.spatial import cKDTree
+
     place = np.concatenate([T[:, :3, 3] + 1.5 * T[:, :3, 2], 0.5 * T[:, :3, 3]], 1)
     _, near = cKDTree(place).query(place, k=min(len(views), 3 * count + 1))
     pairs = set()

@@ -10,8 +10,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
-from scipy.signal import lfilter, savgol_coeffs, savgol_filter
 
 from realsim.core.errors import GapError
 from realsim.core.geometry import cross
@@ -81,6 +79,8 @@ def smooth(grid: F64, time: F64, values: F64) -> tuple[F64, F64, F64]:
 
 def _cubics(grid: F64, time: F64, values: F64, order: int) -> F64:
     """One of these derivatives."""
+    from scipy.signal import savgol_filter
+
     even = np.stack([_bridge(grid, time, column) for column in values.T], axis=1)
     step = float(grid[1] - grid[0])
     half = int(np.clip(round(HALF_WINDOW / step), 3, (len(grid) - 1) // 2))
@@ -89,6 +89,8 @@ def _cubics(grid: F64, time: F64, values: F64, order: int) -> F64:
 
 def rate_gain(time: F64) -> float:
     """Standard deviation of a velocity that `smooth` estimates from readings of standard deviation 1, 1/s."""
+    from scipy.signal import savgol_coeffs
+
     step = float(np.median(np.diff(time)))
     half = int(np.clip(round(HALF_WINDOW / step), 3, max((len(time) - 1) // 2, 3)))
     return float(np.linalg.norm(savgol_coeffs(2 * half + 1, 3, deriv=1, delta=step)))
@@ -96,6 +98,8 @@ def rate_gain(time: F64) -> float:
 
 def blur(grid: F64, time: F64, values: F64) -> tuple[F64, F64, F64]:
     """The same through a Gaussian and its derivatives: all three are blurred alike."""
+    from scipy.ndimage import gaussian_filter1d
+
     even = np.stack([_bridge(grid, time, column) for column in values.T], axis=1)
     step = float(grid[1] - grid[0])
     wide = max(BLUR / step, 1.0)
@@ -198,6 +202,8 @@ def velocity_lag(case: Case) -> float:
 
 def low_passed(values: F64, lag: float, step: float) -> F64:
     """(N, K) response of a first-order filter of time constant `lag` to samples `step` apart, s; steady at first."""
+    from scipy.signal import lfilter
+
     keeps = np.exp(-step / lag) if lag > 0 else 0.0
     return np.asarray(lfilter([1 - keeps], [1, -keeps], values, axis=0, zi=keeps * values[:1])[0])
 

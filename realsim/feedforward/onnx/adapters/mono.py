@@ -7,7 +7,6 @@ from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from realsim.core.types import F32, F64, Bool
 from realsim.feedforward.onnx.adapters.base import (
@@ -55,6 +54,8 @@ def shift_and_focal(points: F32, rays: F64 | F32, mask: Bool) -> tuple[float, fl
         Shift, and the model's focal length over the known one. For a given shift the best f is a ratio of sums, which
         leaves a search in one number.
     """
+    from scipy.optimize import least_squares
+
     at = np.flatnonzero(mask)
     if len(at) < 10:
         return 0.0, float("nan")
