@@ -85,7 +85,6 @@ def walk(bounds: F64, count: int, rng: np.random.Generator, *, both_sides: bool 
     Args:
         bounds: (2, 3) of the terrain.
     """
-    from scipy.interpolate import PchipInterpolator
 
     low, high = bounds
     length, height = high[0] - low[0], 1.12 + high[2]
