@@ -27,7 +27,6 @@ import tyro
 
 from benchmarks.store import Row, Store
 from benchmarks.training.base_policy import SETTINGS, fingerprint
-from benchmarks.training.ttt_sources import SOURCES
 from trainer import terrain as terrains
 from trainer.commands.common import load_policy
 from trainer.commands.task_file import load_task
@@ -111,6 +110,8 @@ def main(options: Options) -> None:
 
 def prepare(options: Options) -> None:
     """Scenes of every test and source that is not exact; those that are there stay."""
+    from benchmarks.training.ttt_sources import SOURCES  # needs Open3D, which a machine that trains need not have
+
     for test in options.tests:
         for source in options.sources:
             folder = options.work / "scenes" / source / test

@@ -13,26 +13,15 @@ import argparse
 import json
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
-from realsim import capture
-from realsim.capture.config import CaptureConfig
 from realsim.core.errors import CaptureError, RealsimError
-from realsim.core.files import read_json
-from realsim.core.types import Intrinsics
-from realsim.feedforward.config import OnnxConfig
-from realsim.feedforward.onnx.adapters import ADAPTERS
-from realsim.feedforward.onnx.inputs import Inputs
-from realsim.feedforward.onnx.preprocess import depth_to_grid
-from realsim.feedforward.onnx.runner import predict
-from realsim.feedforward.onnx.session import open_model
-from training.pointmap import sensor, shipped
-from training.pointmap.draw import Draw
+from training.pointmap import shipped
 from training.pointmap.layouts import LAYOUTS, library
 from training.pointmap.metrics import Figures, figures
 from training.pointmap.network import PointmapNet
@@ -80,6 +69,9 @@ def generated(
 
 def _seeing(made: Generator, batch: Batch, index: int) -> Batch:
     """The batch with sensor depth in every view."""
+    from training.pointmap import sensor
+    from training.pointmap.draw import Draw
+
     measured = sensor.depth(Draw.of(made.seed + 7, index, made.device), batch.depth, batch.K[:, 0, 0, 0])
     return Batch(batch.images, measured, batch.depth, batch.K, batch.T)
 
@@ -132,6 +124,10 @@ def read(folder: Path) -> Truth:
     """
     import open3d as o3d
 
+    from realsim import capture
+    from realsim.capture.config import CaptureConfig
+    from realsim.core.files import read_json
+
     for part in ("capture", "gt/gt_mesh.ply", "gt/gt.json"):
         if not (folder / part).exists():
             raise CaptureError("not a capture with truth", file=folder, expected=part, found="nothing of that name")
@@ -152,6 +148,9 @@ def read_real(folder: Path) -> Truth:
     Raises:
         CaptureError: not a capture of frames.
     """
+    from realsim import capture
+    from realsim.capture.config import CaptureConfig
+
     frames = getattr(capture.read(folder, CaptureConfig(max_frames=60)), "frames", ())
     kept = tuple(f for f in frames if f.read_color is not None)
     if not kept:
@@ -171,6 +170,8 @@ def true_depth(truth: Truth, i: int, grid: Any) -> np.ndarray:
     Walls and clutter are in the pictures but not in the truth: pixels where the sensor sees something nearer by more
     than 5 % are left out.
     """
+    from realsim.feedforward.onnx.preprocess import depth_to_grid
+
     frame, T = truth.frames[i], truth.T_mesh_camera[i]
     seen = depth_to_grid(frame.depth(), frame.intrinsics, grid)
     if truth.mesh is None:
@@ -184,6 +185,8 @@ def true_depth(truth: Truth, i: int, grid: Any) -> np.ndarray:
 
 def captured(model_file: Path, truth: Truth, views: int = VIEWS) -> Iterator[Row]:
     """Rows of a capture: all its windows of `views` frames, with and without depth, for each of STEPS."""
+    from realsim.feedforward.onnx.session import open_model
+
     model = open_model(model_file)
     for given in BARS if truth.mesh is not None else ("rgb",):
         for step in STEPS:
@@ -206,6 +209,9 @@ def _window(model: Any, truth: Truth, which: Sequence[int], given: str) -> Figur
 
 def _predict(model: Any, frames: Sequence[Any], given: str) -> tuple[Any, Any]:
     """What the model says of a window, before anything is refused or left out."""
+    from realsim.feedforward.onnx.adapters import ADAPTERS
+    from realsim.feedforward.onnx.inputs import Inputs
+
     inputs = Inputs.of(frames, model.spec, with_depth=given == "rgbd")
     index = range(len(frames))
     out = model.run(inputs.feeds(index))
@@ -219,6 +225,8 @@ SPOILT = ("as it is", "night", "overexposed", "blurred", "wide crop")
 def doubts(model_file: Path, truth: Truth, views: int = 4, windows: int = 5) -> Iterator[Row]:
     """Confidence and error of a view without depth when it alone is dark, burnt out, blurred or cut to 3:1: the
     confidence has to fall as the error rises."""
+    from realsim.feedforward.onnx.session import open_model
+
     model = open_model(model_file)
     starts = np.linspace(0, len(truth.frames) - views, windows).astype(int)
     for how in SPOILT:
@@ -239,8 +247,11 @@ def doubts(model_file: Path, truth: Truth, views: int = 4, windows: int = 5) -> 
 
 def spoilt(frame: Any, how: str) -> Any:
     """A frame whose picture is worse than it was; its depth and pose stay."""
+    from dataclasses import replace
 
     import cv2
+
+    from realsim.core.types import Intrinsics
 
     color = frame.color()
     camera = frame.color_intrinsics or frame.intrinsics
@@ -264,6 +275,10 @@ def timed(model_file: Path, truth: Truth) -> Row:
     import time
 
     import onnxruntime
+
+    from realsim.feedforward.config import OnnxConfig
+    from realsim.feedforward.onnx.runner import predict
+    from realsim.feedforward.onnx.session import open_model
 
     model = open_model(model_file)
     options = onnxruntime.SessionOptions()
