@@ -256,9 +256,10 @@ def explain_inputs(function: Callable[P, T], takes: Mapping[str, Collection[str]
         except RealsimError as error:
             given = inspect.signature(function).bind_partial(*args, **kwargs).arguments
             inputs = [(n, p) for n, v in given.items() for p in (v if isinstance(v, tuple) else (v,))]
-            known = [(n, p) for n, p in inputs if n in takes and isinstance(p, str | os.PathLike) and str(p)]
-            # Of many, the one that the error is about.
-            for name, path in [(n, p) for n, p in known if str(p) == error.file] or known:
+            paths = [(n, p) for n, p in inputs if isinstance(p, str | os.PathLike) and str(p)]
+            # Of many, the one that the error is about, unless it is a file of unknown kind that is not there.
+            about = [(n, p) for n, p in paths if str(p) == error.file and (n in takes or _exists(Path(p)))] or paths
+            for name, path in ((n, p) for n, p in about if n in takes):
                 recordings = TAKES["recording"] if given.get("model") is not None else ()  # with --model they are taken
                 if explain(error, Path(path), (*takes[name], *recordings)):
                     break

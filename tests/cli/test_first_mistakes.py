@@ -58,6 +58,7 @@ MISTAKES = {
     "diagnose scene --out d": "realsim view scene",
     "diagnose run.csv --model stairs.stl --out d": "realsim contact stairs.stl",
     "diagnose case --model robot.xml --out d": "leave out --model",
+    "doctor run.csv --policy stairs.stl": "realsim log run.csv --model",
     "diagnose case --deploy-yaml robot.xml --out d": "add --policy",
     "demo --out run.csv": "choose another --out",
     "reconstruct --out s": "realsim help reconstruct",
