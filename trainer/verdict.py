@@ -5,8 +5,6 @@ from dataclasses import dataclass
 from statistics import median
 from typing import Any
 
-from scipy.stats import fisher_exact
-
 from trainer.config import Evaluation
 
 CHANCE = 0.05
@@ -42,6 +40,8 @@ class Verdict:
 
 def judge(before: Evaluation, after: Evaluation) -> Verdict:
     """The verdict on trials of a base and of what was made of it; on several terrains their successes are added."""
+    from scipy.stats import fisher_exact  # takes most of a second to import
+
     (won_a, of_a), (won_b, of_b) = (_total(e) for e in (before, after))
     p = float(fisher_exact([[won_b, of_b - won_b], [won_a, of_a - won_a]], alternative="greater").pvalue)
     better = p < CHANCE

@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from realsim.core.filters import low_passed
 from realsim.gap import load_case
-from realsim.gap.case.motion import blur, low_passed, smooth, velocity_lag
+from realsim.gap.case.motion import blur, smooth, velocity_lag
 
 from .truth import Truth
 

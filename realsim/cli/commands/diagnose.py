@@ -204,9 +204,11 @@ def _why_missing(folder: Path, signal: str) -> str | None:
 
 def refuse_recording(path: Path) -> None:
     """A recording has no model yet; a case has. Raises RealsimError for what `realsim log` can read."""
+    if (path / "log.json").exists() or not path.exists():
+        return
     from realsim.gap.recordings.reading import reader_of
 
-    if not (path / "log.json").exists() and path.exists() and reader_of(path) is not None:
+    if reader_of(path) is not None:
         raise RealsimError(
             "this is a recording, not a case",
             file=path,

@@ -1,10 +1,15 @@
 """What recorded depth says of its camera, put into a diagnosis."""
 
+from __future__ import annotations
+
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from realsim.gap.answer.diagnosis import Diagnosis
-from realsim.gap.checks.camera.calibrate import CameraFound
 from realsim.gap.verdicts import GapVerdict
+
+if TYPE_CHECKING:
+    from realsim.gap.checks.camera.calibrate import CameraFound
 
 
 def with_camera(found: Diagnosis, camera: CameraFound | None) -> Diagnosis:

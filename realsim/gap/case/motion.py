@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from realsim.core.errors import GapError
+from realsim.core.filters import local_polynomials, local_weights, low_passed
 from realsim.core.geometry import cross
 from realsim.core.types import F64, Bool
 from realsim.gap.case.case import Case, Run
@@ -79,21 +80,17 @@ def smooth(grid: F64, time: F64, values: F64) -> tuple[F64, F64, F64]:
 
 def _cubics(grid: F64, time: F64, values: F64, order: int) -> F64:
     """One of these derivatives."""
-    from scipy.signal import savgol_filter
-
     even = np.stack([_bridge(grid, time, column) for column in values.T], axis=1)
     step = float(grid[1] - grid[0])
     half = int(np.clip(round(HALF_WINDOW / step), 3, (len(grid) - 1) // 2))
-    return np.asarray(savgol_filter(even, 2 * half + 1, 3, deriv=order, delta=step, axis=0))
+    return local_polynomials(even, 2 * half + 1, 3, order, step)
 
 
 def rate_gain(time: F64) -> float:
     """Standard deviation of a velocity that `smooth` estimates from readings of standard deviation 1, 1/s."""
-    from scipy.signal import savgol_coeffs
-
     step = float(np.median(np.diff(time)))
     half = int(np.clip(round(HALF_WINDOW / step), 3, max((len(time) - 1) // 2, 3)))
-    return float(np.linalg.norm(savgol_coeffs(2 * half + 1, 3, deriv=1, delta=step)))
+    return float(np.linalg.norm(local_weights(2 * half + 1, 3, 1, step)))
 
 
 def blur(grid: F64, time: F64, values: F64) -> tuple[F64, F64, F64]:
@@ -198,14 +195,6 @@ def velocity_lag(case: Case) -> float:
     usual = np.median(shares, axis=0)  # one spoilt run does not decide
     best = int(np.argmin(usual))
     return float(LAGS[best]) if LAGS[best] >= SHORTEST_LAG and usual[best] < 1 - FILTERED else 0.0
-
-
-def low_passed(values: F64, lag: float, step: float) -> F64:
-    """(N, K) response of a first-order filter of time constant `lag` to samples `step` apart, s; steady at first."""
-    from scipy.signal import lfilter
-
-    keeps = np.exp(-step / lag) if lag > 0 else 0.0
-    return np.asarray(lfilter([1 - keeps], [1, -keeps], values, axis=0, zi=keeps * values[:1])[0])
 
 
 def sample_noise(case: Case, column: int, signal: str = "joint_pos") -> float:

@@ -159,9 +159,9 @@ def _least_delay(own: F64, delay: F64) -> tuple[float, float, float]:
     t, d = own[lowest] - own[0], delay[lowest]
     if len(lowest) < 3 or np.ptp(t) <= 0:
         return float(delay.min()), 0.0, float(np.std(d))
-    from scipy.stats import theilslopes  # takes most of a second to import
-
-    slope, base = theilslopes(d, t, method="joint")[:2]  # late messages do not matter (Theil 1950, Sen 1968)
+    i, j = np.triu_indices(len(t), 1)
+    slope = np.median((d[j] - d[i])[t[j] > t[i]] / (t[j] - t[i])[t[j] > t[i]])  # Theil 1950, Sen 1968: late messages...
+    base = np.median(d - slope * t)  # ...do not matter
     rest = d - base - slope * t
     return float(base + np.min(rest[rest > -JUMP])), float(slope), float(np.median(np.abs(rest)))
 

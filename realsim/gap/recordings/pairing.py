@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from realsim.core.statistics import alike
 from realsim.core.types import F64
@@ -40,6 +39,8 @@ def agreement(times: F64, commanded: F64, done: F64) -> F64:
 
     At one lag for all, since a pair of its own lag may take one sine for another.
     """
+    from scipy.optimize import linear_sum_assignment
+
     good = np.flatnonzero(np.isfinite(commanded).all(axis=1) & np.isfinite(done).all(axis=1))
     if len(good) < 30:
         return np.zeros((done.shape[1], commanded.shape[1]))
@@ -62,6 +63,8 @@ def _correlation(a: F64, b: F64) -> F64:
 
 def pair(tables: Sequence[F64], given: Sequence[int]) -> Pairing:
     """The order of columns that suits all runs' tables (B, A) of agreement best, beside the given one."""
+    from scipy.optimize import linear_sum_assignment
+
     mean = np.mean(tables, axis=0)
     joints = np.arange(len(given))
     held = list(given)

@@ -1,8 +1,8 @@
 """How alike two signals are: the measures that evidence about roles, orders, units and signs is made of."""
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from realsim.core.filters import local_polynomials
 from realsim.core.statistics import alike
 from realsim.core.types import F64
 from realsim.gap.case.units import factor
@@ -60,21 +60,24 @@ def follows(times: F64, commanded: F64, done: F64) -> tuple[float, float, float,
 
 def smooth_derivatives(times: F64, position: F64, width: float = 0.03) -> tuple[F64, F64, F64]:
     """(position, velocity, acceleration) (T, K) by local quadratics (Savitzky and Golay 1964) on an even grid."""
-    from scipy.signal import savgol_filter
-
     step = float(np.median(np.diff(times)))
     window = max(5, 2 * round(width / step) + 1)
     if len(position) <= window:
         return position, np.zeros_like(position), np.zeros_like(position)
-    return tuple(np.asarray(savgol_filter(position, window, 2, deriv=d, delta=step, axis=0)) for d in (0, 1, 2))  # type: ignore[return-value]
+    value, rate, change = (local_polynomials(position, window, 2, d, step) for d in (0, 1, 2))
+    return value, rate, change
 
 
 def upward(quat_wxyz: F64) -> F64:
     """(T, 3) the vertical in the body's axes."""
+    from scipy.spatial.transform import Rotation
+
     return np.asarray(Rotation.from_quat(quat_wxyz[:, [1, 2, 3, 0]]).inv().apply([0.0, 0.0, 1.0]))
 
 
 def turning(times: F64, quat_wxyz: F64) -> F64:
     """(T - 1, 3) rad/s in the body's axes between samples of an orientation."""
+    from scipy.spatial.transform import Rotation
+
     turn = Rotation.from_quat(quat_wxyz[:, [1, 2, 3, 0]])
     return np.asarray((turn[:-1].inv() * turn[1:]).as_rotvec()) / np.diff(times)[:, None]

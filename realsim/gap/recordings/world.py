@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from realsim.core.errors import GapError
 from realsim.core.files import read_json
@@ -27,6 +26,8 @@ class World:
 
     def turn(self, quat: F64) -> F64:
         """(T, 4) w x y z in the scene's frame; rows without a value stay so."""
+        from scipy.spatial.transform import Rotation
+
         good = np.isfinite(quat).all(axis=1)
         out = quat.copy()
         turned = Rotation.from_matrix(self.T_sim_world[:3, :3]) * Rotation.from_quat(quat[good], scalar_first=True)

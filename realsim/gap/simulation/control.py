@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from realsim.core.filters import low_passed
 from realsim.core.types import F64, Bool, MjModel
 from realsim.gap.case.case import Case, Run
 from realsim.gap.case.model.context import Context
@@ -57,10 +58,8 @@ def controls(
 def lagged(values: F64, lag: float, dt: float) -> F64:
     """(N,) mean over each step of the response of a first-order lag to values that are held over steps of dt; at rest
     before the first. Both `lag`, its time constant, and dt in s."""
-    from scipy.signal import lfilter
-
     keeps = np.exp(-dt / lag)
-    at_end, _ = lfilter([1 - keeps], [1, -keeps], values, zi=[keeps * values[0]])
+    at_end = low_passed(values, lag, dt)
     at_begin = np.concatenate([values[:1], at_end[:-1]])
     return np.asarray(values + (at_begin - values) * (1 - keeps) * lag / dt)
 

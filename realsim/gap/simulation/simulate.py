@@ -13,6 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from realsim.core.errors import GapError, RealsimError
+from realsim.core.filters import low_passed
 from realsim.core.progress import stop_requested
 from realsim.core.types import F64, Bool, MjModel
 from realsim.gap.case.case import Case, Run
@@ -20,7 +21,7 @@ from realsim.gap.case.model.channels import Channel as Channel
 from realsim.gap.case.model.channels import channels
 from realsim.gap.case.model.context import Context, build_context, measure
 from realsim.gap.case.model.edit import Edit
-from realsim.gap.case.motion import low_passed, velocity_lag
+from realsim.gap.case.motion import velocity_lag
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.effects.base import Place
 from realsim.gap.effects.deviations_file import check_places, read_deviations

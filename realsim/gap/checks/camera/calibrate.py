@@ -13,8 +13,6 @@ from math import degrees
 from typing import Any
 
 import numpy as np
-from scipy import sparse
-from scipy.spatial.transform import Rotation
 
 from realsim.core.errors import GapError
 from realsim.core.least_squares import Minimum, least_squares
@@ -211,6 +209,8 @@ class _Fitter:
     def model(self, x: F64) -> tuple[F64, Callable[[], Any]]:
         """Residuals in standard deviations, and their Jacobian."""
 
+        from scipy import sparse
+
         def jacobian() -> Any:
             columns = []
             for k, step in enumerate(STEPS):
@@ -327,6 +327,8 @@ def jitter(run: Run) -> F64:
 
     Samples that lie straight between their neighbours were put there from slower ones: they err with these.
     """
+    from scipy.spatial.transform import Rotation
+
     found = np.full(6, STEADY)
     pos, quat = run.signals.get("base_pos"), run.signals.get("base_quat")
     if pos is None or quat is None:

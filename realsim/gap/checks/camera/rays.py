@@ -6,7 +6,6 @@ from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from realsim.core.geometry import exp_so3
 from realsim.core.types import F64, MjData, MjModel
@@ -67,6 +66,8 @@ class View:
 
         `offsets` (N, 6): m and rad by which the logged poses are off, beside the correction.
         """
+        from scipy.spatial.transform import Rotation
+
         frames = self.frames[which]
         logged = [self._corrected(frames.run, float(t) - mount.delay) for t in frames.time]
         places, R, corrections = (np.stack(part) for part in zip(*logged, strict=True))

@@ -14,7 +14,6 @@ import zlib
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from realsim.core.files import check_size
 from realsim.core.types import F64
@@ -130,6 +129,8 @@ def _attitude(columns: dict[str, F64]) -> F64 | None:
     The firmware's pitch has the other sign than that about y (its legacy axes). Its accelerations are those of the
     world in g without gravity; a drone that flies slowly accelerates along its thrust only.
     """
+    from scipy.spatial.transform import Rotation
+
     names = [f"stateEstimate.{n}" for n in ("roll", "pitch", "yaw", "ax", "ay", "az")]
     roll, pitch, yaw, ax, ay, az = (columns.get(n) for n in names)
     if yaw is None:
