@@ -233,11 +233,12 @@ def test_a_weaker_servo_is_compared_with_load_friction(arm: Case) -> None:
     assert found.causes[0].candidate.effect == "stiffness_gain"
 
 
-def test_an_encoder_s_zero_is_compared_with_play(arm: Case) -> None:
-    """Play in a quadruped's calf, whose load seldom changes sign, was `identified` as its encoder's zero."""
+@pytest.mark.parametrize("name", ["offset", "reading_offset"])
+def test_an_encoder_s_zero_is_compared_with_play(arm: Case, name: str) -> None:
+    """Play in a quadruped's calf and thigh, whose load seldom changes sign, was `identified` as its encoder's zero."""
     loose = logged(arm, [("backlash", ("shoulder",), {"gap": 0.03})])
     with fitting(loose, ("backlash", "joint_offset"), [0, 1, 2]) as its:
-        zero = next(c for c in its.screen.candidates if c.names == ("reading_offset",) and c.place == ("shoulder",))
+        zero = next(c for c in its.screen.candidates if c.names == (name,) and c.place == ("shoulder",))
         fit = its.fit([Cause(zero, (0.015,))])
         assert fit is not None
         found, _, others = beside_imitations(its, fit, leave_out(its, fit), [], [])

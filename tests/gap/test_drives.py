@@ -128,6 +128,17 @@ def test_the_joint_s_own_limit_counts(tmp_path: Path) -> None:
         assert model.jnt_actfrcrange[model.joint(edit.motor_joint("swing")).id].tolist() == [-1, 1]
 
 
+def test_a_loaded_link_rests_at_the_end_of_its_play(tmp_path: Path) -> None:
+    """As in a calf that carries a robot: an end that gives way by 8 mrad hid plays of 24 and 44."""
+    with Simulator(load_case(geared(tmp_path / "case", 1.0)), DiagnoseConfig(threads=1)) as simulator:
+        simulator.context.load_reversals["swing"] = 0
+        model = simulator.edited([("backlash", ("swing",), {"gap": 0.03})]).spec.compile()
+    data = mujoco.MjData(model)
+    data.qfrc_applied[model.joint("swing").dofadr[0]] = 5.0
+    mujoco.mj_step(model, data, 1000)
+    assert abs(data.ten_length[-1]) == pytest.approx(0.015, abs=1.5e-3)
+
+
 def test_a_limit_that_is_not_the_same_both_ways_stays(tmp_path: Path) -> None:
     range_of_both = 'forcerange="-2 6"', 'actuatorfrcrange="-1.5 6"'
     case = load_case(case_of(tmp_path / "case", LIMITED.format(range_of_both[0]), range_of_both[1]))

@@ -26,9 +26,10 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
 
 
 def _suggests(context: Context, place: Place, values: dict[str, float]) -> list[Suggestion]:
-    """Where only the logged encoder is off, play in the gear that the load keeps on one side."""
-    read = values.get("reading_offset", 0.0)
-    return [Suggestion("backlash", place, {"gap": 2 * abs(read)})] if read else []
+    """Play in the gear that the load keeps on one side: the link is off by half of it, which only its encoder reads, or
+    which, where feet bear the load, the other joints and the base show more."""
+    off = abs(values.get("offset", 0.0) + values.get("reading_offset", 0.0))
+    return [Suggestion("backlash", place, {"gap": 2 * off})] if off else []
 
 
 JOINT_OFFSET = Effect(
