@@ -65,6 +65,16 @@ def test_a_narrower_colour_camera_is_found(shared):
     assert found.zoom == pytest.approx(share, rel=0.05)
 
 
+@pytest.mark.parametrize("seed", [0, 3, 4, 7])
+def test_ground_with_edges_everywhere_tells_nothing(seed, shared):
+    capture = read(shared("captures/narrow_a/capture"), CaptureConfig(max_frames=6))
+    assert isinstance(capture, FrameSet)
+    frame = capture.frames[3]
+    fine = np.random.default_rng(seed).integers(0, 256, (80, 106, 3)).astype(np.uint8)
+    gravel = fine.repeat(6, axis=0).repeat(6, axis=1)
+    assert misalignment([replace(frame, read_color=lambda: gravel)] * 4) is None
+
+
 @dataclass(frozen=True)
 class Longer:
     """Depth whose steps are taken for longer ones than they are."""
