@@ -288,6 +288,7 @@ def explain_write_errors(path: Path) -> Iterator[None]:
         errno.EDQUOT: "the quota is used up: choose another --out",
         errno.EACCES: "choose a folder that you may write to",
         errno.EROFS: "the file system is read-only: choose another --out",
+        errno.ENAMETOOLONG: "choose a shorter --out",
     }
     try:
         yield
@@ -315,12 +316,12 @@ def output_folder(
     """
     path = path.absolute()
     for place in (path, *path.parents):
-        if place.is_file():
+        if os.path.isfile(place):  # also of a name that is too long, or a link in a circle
             raise RealsimError("the output is a file", file=place, expected="a folder", hint="choose another --out")
     if source is not None:
         refuse_within(path, source)
     refuse_existing(path, overwrite, marks)
-    made = [parent for parent in path.parents if not parent.exists()]
+    made = [parent for parent in path.parents if not os.path.exists(parent)]
     with explain_write_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         _sweep(path)
@@ -385,7 +386,7 @@ def check_room(folder: Path, need: float, message: str) -> None:
 
 def refuse_within(out: Path, source: Path) -> None:
     """Refuse an output folder that is the input or holds it: what is in it is replaced as a whole."""
-    if source.resolve().is_relative_to(out.resolve()):
+    if Path(os.path.realpath(source)).is_relative_to(os.path.realpath(out)):
         raise RealsimError(
             "the input lies in the output folder, which is replaced as a whole",
             file=source,
@@ -429,7 +430,7 @@ def place_folder(work: Path, target: Path, *, overwrite: bool = False, marks: Se
 
 def refuse_existing(path: Path, overwrite: bool, marks: Sequence[str] = MARKS) -> None:
     """Refuse to replace a folder that is not empty, unless that was requested and the folder is ours."""
-    if not path.is_dir() or not any(path.iterdir()):
+    if not os.path.isdir(path) or not any(path.iterdir()):
         return
     if not overwrite:
         raise RealsimError(

@@ -261,6 +261,15 @@ def test_a_name_that_cannot_be_followed_is_said(tmp_path: Path, name: str) -> No
         files.check_size(files.inside(tmp_path, name))
 
 
+def test_an_output_whose_name_is_too_long_and_an_input_that_is_a_circle(tmp_path: Path) -> None:
+    (tmp_path / "circle").symlink_to("circle")
+    with pytest.raises(RealsimError, match="too long") as caught, files.output_folder(tmp_path / ("a" * 300)):
+        pass
+    assert "shorter" in str(caught.value)
+    with files.output_folder(tmp_path / "out", source=tmp_path / "circle"):
+        pass
+
+
 def test_names_cannot_control_the_terminal() -> None:
     name = "a\x1b[31mEVIL\x1b]0;title\x07\x9b2J\u202eb\tc"
     shown = RealsimError("a file", file=name, hint="x").render()
