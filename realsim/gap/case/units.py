@@ -11,7 +11,7 @@ from realsim.core.errors import GapError, refuse_unknown
 from realsim.core.statistics import alike
 from realsim.core.types import F64
 
-TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
 ANGLE = {"rad": 1.0, "deg": pi / 180, "rev": 2 * pi, "mrad": 1e-3, "mdeg": pi / 180e3}
 LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 TURNING = {"rad/s": 1.0, "deg/s": pi / 180, "rpm": pi / 30, "rev/s": 2 * pi, "mrad/s": 1e-3, "mdeg/s": pi / 180e3}

@@ -487,11 +487,14 @@ def torque(e: Evidence, *, unnamed: bool = False) -> None:
     place, need = e.beside("joint_pos", time), None
     if e.target is not None and not e.target.floating and place is not None:
         need = _needed(e, tuple(names), place, time)
+    turned = np.sign(
+        e.proposal.assignments["joint_pos"].scale
+    )  # who counts an angle the other way does so with its torque
     unit = source.unit or "N m"
     scale, text, doubtful = TORQUE.get(unit, 1.0), "nothing here tests its size", True
     if need is not None:
         rows, tau = need
-        logged = field.values[rows][:, columns]
+        logged = field.values[rows][:, columns] * turned
         whose = np.array([[alike(column, needed) for column in logged.T] for needed in tau.T])
         corrs = np.diagonal(whose)
         factors = [f for k in range(len(names)) if np.isfinite(f := factor(logged[:, k], tau[:, k]))]
@@ -504,7 +507,9 @@ def torque(e: Evidence, *, unnamed: bool = False) -> None:
         if pair([np.maximum(whose * np.sign(scale), 0.0)], range(len(names))).gain > BETTER:
             text, doubtful = f"{text}; in another order they agree better", True
     doubtful |= source.why == AS_NEEDED
-    e.settle("joint_torque", source, columns, names, [*evidence, text], scale=scale, unit=unit, doubtful=doubtful)
+    e.settle(
+        "joint_torque", source, columns, names, [*evidence, text], scale=scale * turned, unit=unit, doubtful=doubtful
+    )
     e.proposal.torque_kind = "current_times_constant" if current else "measured"
 
 

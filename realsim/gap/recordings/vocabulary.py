@@ -57,17 +57,20 @@ _FOREIGN_SCRIPT = re.compile("|".join(sorted((w for w in _ENGLISH if not w.isasc
 _UNITS = {
     "deg": "deg degree degrees ° grad degre degres grados graus gradi", "rad": "rad radian radians",
     "rev": "rev revs turn turns", "deg/s": "deg/s dps °/s degs grad/s deg_s deg_per_s deg/sec degrees/s",
-    "rad/s": "rad/s rads rad_s rad_per_s rad/sec radians/s", "rpm": "rpm u/min 1/min tr/min upm min-1",
+    "rad/s": "rad/s rads rad_s rad_per_s rad/sec radians/s", "rpm": "rpm rev/min r/min u/min 1/min tr/min upm min-1",
     "rev/s": "rev/s rps", "N m": "nm n_m n*m n.m n·m newtonmeter", "mN m": "mnm mn*m", "N cm": "ncm",
     "kgf cm": "kgfcm kgf*cm kg*cm kgcm", "A": "a amp ampere amps", "mA": "ma",
     "s": "s sec secs second seconds sekunden secondes segundos",
     "ms": "ms msec msecs milli millis millisecond milliseconds",
     "us": "us µs μs usec usecs micro micros microsecond microseconds",
     "ns": "ns nsec nsecs nano nanos nanosec nanosecond nanoseconds",
+    "min": "min minute minutes minuten", "h": "h hour hours stunden heures",
 } | {unit: unit for unit in ("mrad", "mdeg", "mdeg/s", "mm", "m", "mm/s", "m/s", "g", "%")}  # fmt: skip
 _UNIT_OF = {text: unit for unit, texts in _UNITS.items() for text in texts.split()}
+_BARE = {t: u for t, u in _UNIT_OF.items() if len(t) > 1 and t != "min"}
+"""Units that need no bracket: `speed_rpm`; a single letter at the end of a name is a name, `q_min` the least."""
 _CLOCKS = {"time", "timestamp", "t", "stamp", "tick", "ticks", "clock", "rectime", "elapsed", "uptime", "epoch"}
-_CLOCKS |= {"times", "timestamps"} | {text for text, unit in _UNIT_OF.items() if unit in TIMES and len(text) > 2}
+_CLOCKS |= {"times", "timestamps"} | {text for text, unit in _BARE.items() if unit in TIMES and len(text) > 2}
 _BESIDE_CLOCKS = {
     word
     for words in (
@@ -77,8 +80,6 @@ _BESIDE_CLOCKS = {
     for word in words.split()
 }
 """Words beside them in names of clocks."""
-_BARE = {t: u for t, u in _UNIT_OF.items() if len(t) > 1}
-"""Units that need no bracket: `speed_rpm`; a single letter at the end of a name is a name."""
 _BRACKET = re.compile(r"[\[(]\s*([^\[\]()]*?)\s*[\])]\s*$|(?:\s/\s|\sin\s)\s*(\S+)\s*$|\.\.(\w+(?:\.\w+)?)\.$")
 """The last as R writes it: `angle (deg/s)` -> `angle..deg.s.`."""
 

@@ -81,8 +81,10 @@ def test_unit_and_sign_of_torques_by_inverse_dynamics(arm: Log, tmp_path: Path, 
 def test_a_joint_that_is_turned(quadruped: Log, tmp_path: Path) -> None:
     target = load_target(save(tmp_path, QUADRUPED))
     signs = np.tile([1.0, 1.0, -1.0], 4)
-    found = propose([table(quadruped, q=signs * quadruped.pos, q_des=signs * quadruped.command)], target)
-    assert np.sign(found.assignments["joint_pos"].scale).tolist() == signs.tolist()
+    torque = signs * quadruped.torque
+    found = propose([table(quadruped, q=signs * quadruped.pos, q_des=signs * quadruped.command, tau=torque)], target)
+    for role in ("joint_pos", "joint_torque"):
+        assert np.sign(found.assignments[role].scale).tolist() == signs.tolist()
 
 
 def test_order_of_unnamed_columns_by_torques(arm: Log, tmp_path: Path) -> None:
@@ -334,12 +336,14 @@ def test_what_names_mean(name: str, role: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "unit"), [("time", None), ("t_ms", 1e-3), ("timestamp_us", 1e-6), ("stamp", None), ("time_ns", 1e-9)]
+    ("name", "unit"),
+    [("time", None), ("t_ms", 1e-3), ("timestamp_us", 1e-6), ("stamp", None), ("time_ns", 1e-9), ("Time (min)", 60.0)],
 )
 def test_clocks_by_name(name: str, unit: float | None) -> None:
     assert is_clock(name)
     assert TIMES.get(time_unit(name)) == unit
     assert not is_clock("target")
+    assert not is_clock("min")
 
 
 def test_joints_by_labels() -> None:
