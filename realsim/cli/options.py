@@ -93,6 +93,9 @@ def parse(
     import tyro
     import tyro._errors as events
 
+    if "" in arguments:  # Path("") would be the folder that one is in
+        hint = f"is a variable of the shell not set? realsim help {name}"
+        raise UsageError("an argument is empty", expected="a path or a value", found='""', hint=hint)
     arguments = _together(function, arguments)
 
     @functools.wraps(function)

@@ -15,7 +15,7 @@ from itertools import islice
 from pathlib import Path
 from typing import ParamSpec, TypeVar
 
-from realsim.core.errors import MissingExtraError, RealsimError, did_you_mean
+from realsim.core.errors import MissingExtraError, RealsimError, UnknownNameError, did_you_mean
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -211,7 +211,9 @@ def explain(error: RealsimError, path: Path, takes: Collection[str]) -> bool:
     if kind is None or kind.name in takes:
         return False
     error.file = error.file or str(path)
-    error.found = f"{kind.what}" + (f" ({error.found})" if error.found and len(error.found) < 80 else "")
+    error.found = f"{kind.what}" + (
+        f" ({error.found})" if error.found not in (None, "", kind.what) and len(error.found) < 80 else ""
+    )
     error.hint = kind.way_out(whole(path))
     return True
 
@@ -251,7 +253,7 @@ def explain_inputs(function: Callable[P, T], takes: Mapping[str, Collection[str]
     def called(*args: P.args, **kwargs: P.kwargs) -> T:
         try:
             return function(*args, **kwargs)
-        except MissingExtraError:  # whatever was given, that comes first
+        except (MissingExtraError, UnknownNameError):  # whatever was given; an option's name is no input's fault
             raise
         except RealsimError as error:
             given = inspect.signature(function).bind_partial(*args, **kwargs).arguments

@@ -97,6 +97,7 @@ MISTAKES = {
     "diagnose --check": "realsim diagnose CASE --check",
     "export scene --to gazebo": "Gazebo: sdf",
     "export scene": "--to usd,urdf",
+    "export nothing --to foo": "did you mean foxglove",
     "export zzzz --to usd": "check the path",
     "lint policy.onnx": "realsim model inspect policy.onnx",
     "log stairs.step": ".glb, .obj or .stl",
@@ -114,6 +115,11 @@ def test_a_first_mistake_has_a_way_out(line: str, place: Path, capsys: pytest.Ca
     assert sorted(place.rglob("*")) == before, "nothing half-written"
     assert main(line.split()) == 2
     assert "\n  do: " in capsys.readouterr().err
+
+
+def test_an_empty_argument_is_not_the_folder_that_one_is_in(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["diagnose", "", "--out", "d"]) == 2
+    assert "variable of the shell" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("line", ["finetune stairs_contact --out t", "evaluate stairs_contact --policy p.pt"])
