@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from realsim.capture.pcdfile import read_columns, read_header, unpack_rgb
 from realsim.core.errors import CaptureError, MissingExtraError, RealsimError
 from realsim.core.files import check_size, read_bytes, read_head
+from realsim.core.geometry import cross
 from realsim.core.meshfile import check_packing, plain_stl
 from realsim.core.objfile import parse_obj
 from realsim.core.types import F64, U8
@@ -160,7 +161,7 @@ def _damaged_normals(table: NDArray) -> tuple[str, ...]:
     Files whose normals mean something else (smoothed, all zero) contradict in most triangles, which says nothing.
     """
     normals, V = table["normal"].astype(float), table["vertices"].astype(float)
-    across = np.cross(V[:, 1] - V[:, 0], V[:, 2] - V[:, 0])
+    across = cross(V[:, 1] - V[:, 0], V[:, 2] - V[:, 0])
     area = np.linalg.norm(across, axis=1)
     longest = np.linalg.norm(V - np.roll(V, 1, axis=1), axis=2).max(axis=1)
     with np.errstate(invalid="ignore"):

@@ -290,7 +290,8 @@ def initial_states(simulator: Simulator) -> tuple[dict[str, Any], Notes]:
         first = _first_position(position)
         travel = np.nanmax(position, axis=0) - np.nanmin(position, axis=0)
         distance, speed = np.abs(first - rest), _first_speed(run, y[:, : len(first)])
-        peak = np.nanmax(np.abs(np.gradient(track["pos"], track["settle"][1], axis=0)), axis=0)
+        rates = np.gradient(track["pos"], track["settle"][1], axis=0)
+        peak = np.nanmax(np.abs(rates), axis=0)
         off.append(float(np.nanmax(distance, initial=0.0)))
         fast.append(float(np.nanmax(speed, initial=0.0)))
         how[run.name] = f"{STARTED[start.kind]}: {start.reason}"

@@ -256,8 +256,8 @@ class Comparison:
         for c, channel in enumerate(self.channels):
             second, spread = [], []
             for i in runs:
-                y = nominal[i]
-                r = np.where(self._valid[i][:, c], self._values[i][:, c] - y[:, c], np.nan)
+                r = self._values[i][:, c] - nominal[i][:, c]
+                r[~self._valid[i][:, c]] = np.nan
                 second.append(differences(r, 2))
                 spread.append(self._values[i][self._valid[i][:, c], c])
             kinks = np.concatenate(second)
