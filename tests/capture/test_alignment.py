@@ -2,12 +2,14 @@
 
 import shutil
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import pytest
 
 from realsim.capture import CaptureConfig, inspect, read
 from realsim.capture.alignment import misalignment
+from realsim.capture.consistency import check_agreement
 from realsim.capture.units import check_height
 from realsim.core.errors import CaptureError
 from realsim.core.types import Frame, FrameSet
@@ -63,6 +65,16 @@ def test_a_narrower_colour_camera_is_found(shared):
     found = misalignment([replace(f, read_color=Cropped(f, share)) for f in capture.frames])
     assert found is not None
     assert found.zoom == pytest.approx(share, rel=0.05)
+
+
+def test_distances_along_the_rays_are_named(shared):
+    capture = read(shared("captures/narrow_a/capture"), CaptureConfig(max_frames=14))
+    assert isinstance(capture, FrameSet)
+    assert check_agreement(capture)[1] is None
+    lengths = np.linalg.norm(capture.frames[0].intrinsics.rays(), axis=-1).astype(np.float32)
+    frames = [replace(f, read_depth=partial(np.multiply, f.depth(), lengths)) for f in capture.frames]
+    with pytest.raises(CaptureError, match="the distance from the camera"):
+        check_agreement(replace(capture, frames=tuple(frames)))
 
 
 @pytest.mark.parametrize("seed", [0, 3, 4, 7])

@@ -61,7 +61,7 @@ def by_points(found: Comparison, T: F64) -> float:
     """By the pairs of frames that surely see the same: those that share features, else those next to each other. A
     reading under which they no longer see each other explains nothing."""
     error = found.misplaced(found.certain, T)
-    return float(np.nanmedian(error)) if np.isfinite(error).mean() >= 0.7 else float("inf")
+    return float(np.nanmedian(error)) if np.isfinite(error).sum() >= max(0.7 * len(error), 1) else float("inf")
 
 
 def by_depth(found: Comparison, T: F64) -> float:
