@@ -26,7 +26,7 @@ from trainer.policies import base_of
 from trainer.ppo.distributed import pick_device
 
 ROOT = Path(__file__).resolve().parents[2]
-KEY = ("robot", "base", "course", "engine", "finish", "trials", "seed")
+KEY = ("robot", "base", "name", "course", "engine", "finish", "trials", "seed")
 SOFTNESS = {"soft": 2.0, "hard": 0.5}
 
 
@@ -35,6 +35,8 @@ class Options:
     policy: Path | None = None
     """The checkpoint; the one that ships for the robot if not given."""
     robot: str = "g1"
+    name: str = "base"
+    """What the table calls the policy."""
     engines: tuple[Literal["warp", "mujoco", "elliptic", "soft", "hard"], ...] = ("mujoco",)
     finishes: tuple[Literal["reach", "stop"], ...] = ("reach",)
     tests: tuple[str, ...] = field(default_factory=lambda: tuple(terrains.TESTS))
@@ -51,7 +53,16 @@ def main(options: Options) -> None:
     for engine in options.engines:
         for finish in options.finishes:
             for test, won in counts(policy, engine, finish, options).items():
-                key = (policy.robot, fingerprint(file), test, engine, finish, options.trials, options.seed)
+                key = (
+                    policy.robot,
+                    fingerprint(file),
+                    options.name,
+                    test,
+                    engine,
+                    finish,
+                    options.trials,
+                    options.seed,
+                )
                 store.add(dict(zip(KEY, key, strict=True)) | {"won": won})
     print("\n".join(table(store.rows, options.robot)))
 
@@ -76,13 +87,16 @@ def counts(policy: Any, engine: str, finish: Any, options: Options) -> dict[str,
 
 
 def table(rows: list[dict[str, Any]], robot: str) -> list[str]:
-    """A line a test, a column an engine and rule."""
+    """A line a test, a column a policy, engine and rule."""
     rows = [r for r in rows if r["robot"] == robot]
-    columns = sorted({(r["engine"], r["finish"]) for r in rows})
-    lines = ["| test | " + " | ".join(f"{e}, {f}" for e, f in columns) + " |", "|---|" + "---|" * len(columns)]
+    columns = sorted({(r["name"], r["engine"], r["finish"], r["trials"]) for r in rows})
+    heads = (f"{name}: {engine}, {finish} ({trials})" for name, engine, finish, trials in columns)
+    lines = ["| test | " + " | ".join(heads) + " |", "|---|" + "---|" * len(columns)]
     for test in terrains.TESTS:
         found = {
-            (r["engine"], r["finish"]): f"{100 * r['won'] / r['trials']:.0f} %" for r in rows if r["course"] == test
+            (r["name"], r["engine"], r["finish"], r["trials"]): f"{100 * r['won'] / r['trials']:.0f} %"
+            for r in rows
+            if r["course"] == test
         }
         lines.append(f"| {test} | " + " | ".join(found.get(c, "") for c in columns) + " |")
     return lines
