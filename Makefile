@@ -19,10 +19,10 @@ demo: .venv/.demo
 	$(BIN)/realsim demo --out demo_out --overwrite
 
 check: lint
-	$(BIN)/python -m pytest -p tests.forks --forks 2 -m "not slow" $(QUICK)
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not slow" $(QUICK)
 
 test: venv
-	$(BIN)/python -m pytest -p tests.forks --forks 3
+	$(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
 
 lint: venv
 	$(BIN)/ruff format --check .

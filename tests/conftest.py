@@ -77,7 +77,8 @@ def a_step_is_timed_in_few_steps() -> Iterator[None]:
 def once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[object, Callable[[Path], object]], Path]:
     """`once(key, write)` is a folder that `write(folder)` has made, the same for all tests and workers: copy it to
     change something. The key holds all that the folder depends on."""
-    root = tmp_path_factory.getbasetemp() / "once"
+    base = tmp_path_factory.getbasetemp()
+    root = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "once"
 
     def find(key: object, write: Callable[[Path], object]) -> Path:
         folder = root / hashlib.sha256(repr(key).encode()).hexdigest()[:16]

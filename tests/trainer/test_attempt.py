@@ -15,10 +15,10 @@ from trainer.tasks.parkour.config import CommandConfig, TerminationConfig
 from trainer.trainers import Scene
 from trainer.trainers.ladder import helped
 
-# What comes after ten seconds weighs nothing, discounted.
-PAPER = replace(QUIET, command=CommandConfig(speed=(0.6, 0.6)), termination=TerminationConfig(seconds=10.0))
+PAPER = replace(QUIET, command=CommandConfig(speed=(0.6, 0.6)))
 HELPED = helped(Scene((course(),)), PAPER)[1]
-HELPED = replace(HELPED, reset=PAPER.reset)
+# What comes after ten seconds weighs nothing, discounted.
+HELPED = replace(HELPED, reset=PAPER.reset, termination=TerminationConfig(seconds=10.0))
 
 
 def three_ways(physics) -> None:
@@ -60,4 +60,4 @@ def test_with_help_an_attempt_pays_more_than_to_stand_and_without_it_does_not(co
         assert tried[0] > 1.5 * stood[0]
         assert tried[1] > 1.5 * stood[1]
     else:
-        assert stopped[0] > 2 * tried[0]
+        assert stopped[0] > 4 * tried[0]
