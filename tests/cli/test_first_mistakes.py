@@ -179,17 +179,17 @@ def test_what_is_shown_always_says_what_to_do(kind: type[errors.RealsimError]) -
 
 
 def test_a_recording_with_its_model_is_no_mistake(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is wrong is inside it: the error keeps its words, and names the recording."""
+    """What is wrong is inside it: the error keeps its words, and names the recording and the model."""
     monkeypatch.setattr(diagnose, "from_recording", lambda recording, model, case: case)
 
     def used(cases: Path, model: Path | None) -> None:
         with diagnose.case_for_now(cases, model or Path("robot.xml")) as case:
-            raise errors.RealsimError("no gyroscope", file=case, expected="imu_gyro")
+            raise errors.RealsimError("no gyroscope", file=case, expected="imu_gyro", hint=f"see {case / 'model.xml'}")
 
     run = Path("run.csv")
     with pytest.raises(errors.RealsimError) as raised:
         explain_inputs(used)(run, model=Path("robot.xml"))
-    assert (raised.value.file, raised.value.found, raised.value.hint) == ("run.csv", None, None)
+    assert (raised.value.file, raised.value.found, raised.value.hint) == ("run.csv", None, "see robot.xml")
     with pytest.raises(errors.RealsimError) as raised:
         explain_inputs(used)(run, model=None)
     assert "realsim log run.csv" in str(raised.value.hint)

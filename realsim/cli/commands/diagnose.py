@@ -230,11 +230,13 @@ def from_recording(recording: Path, model: Path, case: Path, overwrite: bool = F
 
 @contextmanager
 def case_for_now(recording: Path, model: Path) -> Iterator[Path]:
-    """The case of a recording, for as long as it is needed; errors about its files name the recording."""
+    """The case of a recording, for as long as it is needed; errors about its files name the recording and the model."""
     with TemporaryDirectory() as temporary:
+        case = Path(temporary) / recording.stem
         try:
-            yield from_recording(recording, model, Path(temporary) / recording.stem)
+            yield from_recording(recording, model, case)
         except RealsimError as error:
+            error.hint = error.hint and error.hint.replace(str(case / "model.xml"), str(model))
             if error.file is not None and Path(error.file).is_relative_to(temporary):
                 error.file = str(recording)
             raise
