@@ -185,6 +185,8 @@ def _fields(data: memoryview) -> Iterator[tuple[int, int | memoryview]]:
     while at < len(data):
         tag, at = _varint(data, at)
         number, wire = tag >> 3, tag & 7
+        if number == 0:  # at once: a large file of zeros has many
+            raise ValueError("field 0")
         if wire == VARINT:
             value, at = _varint(data, at)
             yield number, value
@@ -195,7 +197,7 @@ def _fields(data: memoryview) -> Iterator[tuple[int, int | memoryview]]:
             size = 8 if wire == I64 else 4
         else:
             raise ValueError(f"wire type {wire}")
-        if number == 0 or at + size > len(data):
+        if at + size > len(data):
             raise ValueError("a field that ends after the file")
         yield number, data[at : at + size]
         at += size

@@ -61,6 +61,7 @@ def message(error: pytest.ExceptionInfo[RealsimError]) -> str:
         (b"hello, world\n" * 20, "not an ONNX file"),
         (b"PK\x03\x04" + bytes(100), "torch checkpoint"),
         (bytes(range(256)), "not an ONNX file"),
+        (bytes(5_000_000), "not an ONNX file"),
     ],
 )
 def test_not_an_onnx_file(tmp_path: Path, content: bytes, found: str) -> None:
