@@ -24,6 +24,7 @@ AGES = (1.0, 2.0, 3.0, 5.0, 8.0)
 ALL_PAIRS = 16
 """Joints up to which any two may have been exchanged; of more, those of one kind and neighbours."""
 JOINT = ("joint_pos", "joint_vel")
+WHOLE = "the whole observation with the last action"
 WORDS = {
     "ang_vel": "the angular velocity", "gravity": "gravity", "command": "the velocity command",
     "joint_pos": "joint positions", "joint_vel": "joint velocities", "last_action": "the last action",
@@ -346,14 +347,14 @@ def _ages(contract: Contract, steps: Steps, loop: Loop) -> Iterator[Family]:
     known = [k for k in _kinds(contract) if k != "command" or _commanded(steps)]
     seen = [k for k in _kinds(contract) if k not in ("command", "last_action")]
     groups = {"all sensors": tuple(seen), "the inertial unit": ("ang_vel", "gravity"), "joints": JOINT}
-    groups |= {WORDS[k]: (k,) for k in (*seen, "last_action", "command")}
+    groups |= {WHOLE: tuple(known)} | {WORDS[k]: (k,) for k in (*seen, "last_action", "command")}
 
     def describe(x: F64, name: str) -> tuple[str, str]:
         ms = f"{x[0]:.2g} policy steps ({1e3 * x[0] * steps.period:.3g} ms)"
         if x[0] < 0.5:
             return "timing", f"{name}: {ms} between the log and what the policy saw"
-        if name == "all sensors":
-            return "sensor_delay", f"what is seen is {ms} old"
+        if name in ("all sensors", WHOLE):
+            return "sensor_delay", f"{'what is seen' if name != WHOLE else name} is {ms} old"
         are = "are" if name.endswith("s") else "is"
         return "last_action" if name == WORDS["last_action"] else "sensor_age", f"{name} {are} {ms} old"
 

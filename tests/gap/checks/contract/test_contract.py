@@ -42,6 +42,7 @@ def loop(
     gravity: float = 1.0,
     newest_first: bool = False,
     late: int = 0,
+    kept: int = 0,
     gain: float | np.ndarray = 1.0,
     told: float | np.ndarray = 1.0,
     noise: float | tuple[float, float, float] = 1e-3,
@@ -63,7 +64,7 @@ def loop(
     w, x, y, z = quat.T
     down = -np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x**2 + y**2)], axis=1)
     past: dict[str, list[np.ndarray]] = {k: [] for k in WIDTHS}
-    action, sent = np.zeros(6), []
+    action, sent, vectors = np.zeros(6), [], list[np.ndarray]()
     for k in range(count):
         old = max(k - late, 0)
         place, speed = see(pos[old]) - contract.default, see_vel(vel[old])
@@ -74,7 +75,8 @@ def loop(
             kind, value = term.kind, now[term.kind] * term.scale
             past[kind] = [value] * HISTORY if not past[kind] else [*past[kind][1:], value]
             vector += past[kind][::-1] if newest_first else past[kind]
-        action = contract.run(np.concatenate(vector)[None], None)[0]
+        vectors.append(np.concatenate(vector))
+        action = contract.run(vectors[max(k - kept, 0)][None], None)[0]
         sent.append(send(contract.default + gain * contract.scale * action))
     command = np.array(sent)
     moved = np.ones(count, bool)
@@ -111,6 +113,7 @@ DEFAULT = np.tile([0.1, 0.8, -1.5], 2)
         ({"gravity_frame"}, {"gravity": -1.0}),
         ({"history_order"}, {"newest_first": True}),
         ({"sensor_delay"}, {"late": 2}),
+        ({"sensor_delay"}, {"kept": 1}),
         ({"clipped_target"}, {"send": lambda t: np.clip(t, DEFAULT - 0.02, DEFAULT + 0.04)}),
         ({"clipped_target"}, {"send": lambda t: np.clip(t, DEFAULT - 0.03, DEFAULT + 0.03)}),
         ({"gravity_frame", "sensor_delay"}, {"gravity": -1.0, "late": 2}),
