@@ -43,7 +43,7 @@ def find_terrain(name: str) -> tuple[Terrain, Path | None]:
             return terrains.generate(family, float(difficulty or 0.5), int(seed or 0)), None
         except ValueError as error:
             raise TrainerError("not a terrain", expected="FAMILY:DIFFICULTY:SEED", found=name) from error
-    if os.sep in name or name.startswith("."):
+    if os.sep in name or name.startswith(".") or Path(name).exists():
         raise TrainerError("there is no such scene", file=name, expected="a folder written by `realsim reconstruct`")
     known = {"flat", *terrains.TESTS, *terrains.FAMILIES}
     raise UnknownNameError("scene (neither a folder nor a terrain)", name, known, otherwise="check the path")
