@@ -12,6 +12,7 @@ from realsim.export.contact.base import Asset, ContactModel, Geom, floor_plane
 from realsim.export.contact.boxes import boxes
 from realsim.export.contact.cost import standing_place
 from realsim.export.contact.fidelity import FAULTLESS, Region, g1_foot, measure
+from realsim.export.contact.leaks import count_leaks
 from realsim.export.contact.prisms import as_contact
 from realsim.export.contact.probe import BALL, Reference, SimTouch, first_touch, spec_of
 from realsim.export.contact.shape import Shape
@@ -178,3 +179,13 @@ def test_a_pillar_below_what_floats_stands_in_free_air_and_a_block_below_a_sheet
         [[-0.3, -0.3, 0.5], [0.3, -0.3, 0.5], [0.3, 0.3, 0.5], [-0.3, 0.3, 0.5]], [[0, 1, 2], [0, 2, 3]]
     )
     assert figures(sheet, ((0.61, 0.61, 0.5), (0, 0, 0.25)))["free_sides_cm2"] == 0
+
+
+def test_a_thing_that_most_balls_roll_off_is_thrown_at_again() -> None:
+    """Off a post, all but a few; as many as half of a throw have to stay before nothing held means anything."""
+    post = trimesh.creation.cylinder(0.03, 0.2)
+    touch = SimTouch(spec_of(ContactModel("x", (Geom("a", "box", (0, 0, 0), size=(0.02, 0.02, 0.1)),))), BALL)
+    around = Reference(np.asarray(post.vertices), np.asarray(post.faces, np.int32))
+    found = count_leaks(touch, around, post.bounds[0, :2] - 0.05, post.bounds[1, :2] + 0.05, -0.1, objects=40)
+    assert 20 <= found["leak_objects"] < 60
+    assert len(found["leak_places"]) == found["leaks"] + found["held"]
