@@ -69,9 +69,9 @@ KINDS = {
         Kind(
             "model",
             "a model in MJCF or URDF",
-            "realsim robot new {path} for a robot, realsim lint {path} for what terrain in it collides as; with a recording "
-            "realsim log RECORDING --model {path} --out case makes a case, realsim diagnose --init {path} --out case an "
-            "empty one",
+            "realsim robot new {path} for a robot, realsim lint {path} for what terrain in it collides as; with a "
+            "recording realsim log RECORDING --model {path} --out case makes a case, realsim diagnose --init {path} "
+            "--out case an empty one",
         ),
         Kind(
             "network",
