@@ -70,53 +70,41 @@ def rod(a: F64, b: F64, radius: float) -> Solid:
 
 def ring(centre: F64, axis: F64, radius: float, thickness: float) -> Solid:
     """A torus about an axis."""
-    about = np.linspace(-np.pi, np.pi, 9)
-    return _placed(_revolved(radius + thickness * np.cos(about), thickness * np.sin(about), 40), axis, centre)
+    return _placed(_made("torus", radius, thickness, major_sections=40, minor_sections=8), axis, centre)
 
 
-def _revolved(radii: Any, heights: Any, sections: int = 18, first: float = 0.0) -> Solid:
-    """A profile turned about z, outside first where it goes up: trimesh, which has solids too, takes half a second to
-    import."""
-    turn = first + 2 * np.pi * np.arange(sections) / sections
-    around = np.stack([np.cos(turn), np.sin(turn), np.ones(sections)], 1)
-    V = np.stack([radii, radii, heights], 1)[:, None] * around
-    at = np.arange(V[..., 0].size).reshape(V.shape[:2])
-    here, beside = at[:-1], np.roll(at[:-1], -1, axis=1)
-    F = np.stack([here, beside, beside + sections, here, beside + sections, here + sections], -1).reshape(-1, 3)
-    V = V.reshape(-1, 3)
-    sides = V[F[:, 1:]] - V[F[:, :1]]
-    return V, F[np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1) > 1e-14]  # at a pole, half of them are lines
+def _made(kind: str, *sizes: Any, **counts: Any) -> Solid:
+    from trimesh import creation  # here, because --help does not wait for it
+
+    found = getattr(creation, kind)(*sizes, **counts)
+    return found.vertices, found.faces
 
 
 def _placed(solid: Solid, axis: F64, centre: F64) -> Solid:
     """A solid whose third axis is turned to point along `axis`."""
-    z = axis / max(float(np.linalg.norm(axis)), 1e-12)
-    x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
-    x /= max(float(np.linalg.norm(x)), 1e-12)
+    from trimesh.geometry import align_vectors
+
     V, F = solid
-    return V @ np.stack([x, np.cross(z, x), z]) + centre, F
+    return V @ align_vectors([0, 0, 1], axis)[:3, :3].T + centre, F
 
 
 def _capsule(radius: float, half: float) -> Solid:
-    about = np.linspace(-np.pi / 2, np.pi / 2, 12)
-    return _revolved(radius * np.cos(about), radius * np.sin(about) + half * np.sign(about))
+    return _made("capsule", 2 * half, radius, count=[12, 18])
 
 
 def _ball(size: F64) -> Solid:
-    about = np.linspace(-np.pi / 2, np.pi / 2, 11)
-    V, F = _revolved(np.cos(about), np.sin(about))
+    V, F = _made("uv_sphere", count=[11, 18])
     return V * size, F
 
 
 def _cylinder(model: Any, g: int) -> Solid:
     radius, half, _ = model.geom_size[g]
-    return _revolved([0, radius, radius, 0], [-half, -half, half, half], 24)
+    return _made("cylinder", radius, 2 * half, sections=24)
 
 
 def box(model: Any, g: int) -> Solid:
     """A box geom, geom frame."""
-    V, F = _revolved([0, np.sqrt(2), np.sqrt(2), 0], [-1, -1, 1, 1], 4, np.pi / 4)
-    return V * model.geom_size[g], F
+    return _made("box", 2 * model.geom_size[g])
 
 
 def mesh(model: Any, g: int) -> Solid:
