@@ -245,6 +245,18 @@ class Strided:
         return np.concatenate([t.ravel() for t in terms])[None]
 
 
+class LowPass:
+    """Targets of which each keeps a part of the one before."""
+
+    def __init__(self, alpha: float) -> None:
+        self.alpha = alpha
+        self.last: np.ndarray | None = None
+
+    def __call__(self, targets: np.ndarray) -> np.ndarray:
+        self.last = targets if self.last is None else self.alpha * targets + (1 - self.alpha) * self.last
+        return self.last
+
+
 def rotate(quat: np.ndarray, v: np.ndarray) -> np.ndarray:
     w, u = quat[0], quat[1:]
     t = 2 * np.cross(u, v)
@@ -365,6 +377,8 @@ def mistakes(kind: str, rng: np.random.Generator, history: int) -> Wrong:
             return np.concatenate(parts)[None]
 
         return Wrong(vector=exchanged)
+    if kind == "action_filter":
+        return Wrong(send=LowPass(float(rng.uniform(0.2, 0.8))))
     if kind == "scale_and_gains":
         return replace(mistakes("action_scale", rng, history), gains=np.full(12, 0.7))
     if kind == "imu_and_delay":
@@ -377,7 +391,7 @@ KINDS = (
     "gravity_frame", "rate_frame", "imu_rotation", "control_period", "history_order", "history_length",
     "history_stride", "sensor_delay", "sensor_age", "irregular_readings", "clipped_action", "clipped_target",
     "observation_scale", "observation_offset", "velocity_command", "last_action", "term_order", "scale_and_gains",
-    "imu_and_delay",
+    "imu_and_delay", "action_filter",
 )  # fmt: skip
 NAMED = {k: {k} for k in KINDS} | {"scale_and_gains": {"action_scale", "gains"},
                                    "imu_and_delay": {"gravity_frame", "sensor_delay"}}  # fmt: skip

@@ -83,6 +83,12 @@ def _array(values: Any, count: int) -> F64:
     return found
 
 
+def _share(value: Any) -> float:
+    if not 0 < (share := float(value)) <= 1:
+        raise ValueError(f"alpha, the new target's share in a low pass, is {share:g}: expected above 0, at most 1")
+    return share
+
+
 def _of_realsim(facts: Mapping[str, Any]) -> Contract:
     layout = facts["layout"]
     joints = tuple(layout["actions"])
@@ -115,7 +121,8 @@ def _of_mjlab(meta: Mapping[str, str]) -> Contract:
     terms = _terms([(a, None, int(b), c) for a, b, c in zip(names, histories, scales, strict=True)], n)
     return Contract(
         joints, terms, numbers("default_joint_pos"), numbers("action_scale"), numbers("joint_stiffness"),
-        numbers("joint_damping"), float(meta.get("step_dt", 0.02)), framework="mjlab",
+        numbers("joint_damping"), float(meta.get("step_dt", 0.02)), alpha=_share(meta.get("action_alpha", 1.0)),
+        framework="mjlab",
     )  # fmt: skip
 
 
@@ -171,7 +178,7 @@ def _of_io_descriptors(content: Mapping[str, Any]) -> Contract:
         joints, _terms([(a, None if a in TERMS else b, c, d) for a, b, c, d in items], len(joints)),
         of("default_joint_pos"), _array(action["scale"], len(joints)), of("default_joint_stiffness"),
         of("default_joint_damping"), float(content["scene"]["dt"]), offset=_array(action["offset"], len(joints)),
-        framework="isaaclab",
+        alpha=_share(action.get("alpha", 1.0)), framework="isaaclab",
     )  # fmt: skip
 
 

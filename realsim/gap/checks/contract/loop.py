@@ -57,6 +57,8 @@ class Loop:
     """Whose target each joint is sent."""
     bounds: tuple[F64 | float, F64 | float] = (-np.inf, np.inf)
     """(J,) and (J,) rad at which targets end."""
+    alpha: float | None = None
+    """Of the low pass between actions and what is sent; None: the contract's."""
     unaware: bool = False
     """Whether the policy is shown its own last actions, of which such limits leave less in the log."""
     stale: tuple[F64, ...] | None = None
@@ -96,7 +98,8 @@ def _of_run(contract: Contract, steps: Steps, which: int, loop: Loop) -> F64:
     run = steps.runs[which]
     order = [steps.joints.index(j) for j in contract.joints]
     sent = run.command[:, order]
-    action = actions(contract, sent if loop.order is None else sent[:, np.argsort(loop.order)], loop)
+    shown = sent if loop.source.get("last_action") == "filtered" else _before_filter(contract, sent, loop)
+    action = actions(contract, shown if loop.order is None else shown[:, np.argsort(loop.order)], loop)
     cut = _cut(sent, action, loop)
     for _ in range(REPLAYS if loop.unaware else 0):  # each carries what was cut off one step on
         own = contract.run(_vector(_parts(contract, steps, which, loop, action), loop), run.images)
@@ -107,6 +110,16 @@ def _of_run(contract: Contract, steps: Steps, which: int, loop: Loop) -> F64:
     if run.commanded is None and any(t.kind == "command" for t in contract.terms):
         return _with_unknown(contract, sent, parts, run.images, loop, "command")
     return _targets(contract, sent, parts, run.images, loop)
+
+
+def _alpha(contract: Contract, loop: Loop) -> float:
+    return contract.alpha if loop.alpha is None else loop.alpha
+
+
+def _before_filter(contract: Contract, sent: F64, loop: Loop) -> F64:
+    """(K, J) the targets that the loop's low pass made `sent` of; the first is as it was sent."""
+    alpha = _alpha(contract, loop)
+    return np.concatenate([sent[:1], sent[:-1] + np.diff(sent, axis=0) / alpha]) if alpha < 1 else sent
 
 
 def _cut(sent: F64, action: F64, loop: Loop) -> Bool:
@@ -148,6 +161,11 @@ def _targets(contract: Contract, sent: F64, parts: Sequence[F64], images: F64 | 
     wanted = contract.zero + contract.scale * action * loop.gain + loop.sent
     if loop.order is not None:  # targets are handed to the wrong motors, default pose and all
         wanted = wanted[:, list(loop.order)]
+    if (alpha := _alpha(contract, loop)) < 1:
+        # From the first target on its own: beside each logged one, a filter that hardly moves would fit any log.
+        from scipy.signal import lfilter
+
+        wanted = lfilter([alpha], [1, alpha - 1], wanted, axis=0, zi=sent[:1] - alpha * wanted[:1])[0]
     return np.clip(wanted, *loop.bounds)
 
 

@@ -66,6 +66,8 @@ class Contract:
     camera: Camera | None = None
     offset: F64 | None = field(default=None, repr=False)
     """(J,) rad: target = offset + scale * action; the default pose if None."""
+    alpha: float = 1.0
+    """Share of the new one in each target, the rest is the target before: a first-order low pass."""
     framework: str = "realsim"
     """`realsim`, `mjlab`, `isaaclab`, or `unitree`: in whose words settings are named."""
 

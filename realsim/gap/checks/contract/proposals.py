@@ -41,8 +41,8 @@ class Family:
     """Parameters -> (kind, sentence)."""
     starts: tuple[F64, ...] = (np.zeros(0),)
     """The neutral value first, from which slopes are taken, if it has parameters."""
-    step: float = 0.02
-    """Of a parameter, over which slopes are taken: networks run in single precision."""
+    step: float | F64 = 0.02
+    """Of the parameters, over which slopes are taken: networks run in single precision."""
     read: int = 0
     """Figures of it that are read from the log, beside its parameters."""
 
@@ -54,8 +54,8 @@ class Family:
 def families(contract: Contract, steps: Steps, loop: Loop) -> Iterator[Family]:
     """All of them, as changes of a loop."""
     for make in (
-        _orders, _signs, _offsets, _gains, _scales, _imu, _velocity_command, _histories, _ages, _limits, _last_actions,
-        _term_orders,
+        _orders, _signs, _offsets, _gains, _scales, _imu, _velocity_command, _histories, _ages, _limits, _filters,
+        _last_actions, _term_orders,
     ):  # fmt: skip
         yield from make(contract, steps, loop)
 
@@ -365,6 +365,29 @@ def _ages(contract: Contract, steps: Steps, loop: Loop) -> Iterator[Family]:
         used = [k for k in kinds if k in known]
         if len(used) >= min(len(kinds), 2) > 0:
             yield Family(partial(change, kinds=used), partial(describe, name=name), _from(0.0, *AGES), 0.1)
+
+
+def _filters(contract: Contract, steps: Steps, loop: Loop) -> Iterator[Family]:
+    """A first-order low pass of the targets: another one than the contract's, one that it lacks, none."""
+    now = 1 - (contract.alpha if loop.alpha is None else loop.alpha)
+
+    def describe(x: F64, shown: str) -> tuple[str, str]:
+        if contract.alpha < 1 and x[0] < 0.05:
+            return (
+                "action_filter",
+                f"the contract's low pass (alpha {contract.alpha:.3g}) is not in what is logged as sent",
+            )
+        text = f"targets go through a low pass of alpha {1 - x[0]:.3g} ({1 - x[0]:.3g} new, the rest the target before)"
+        return "action_filter", text + shown
+
+    def change(loop: Loop, x: F64) -> Loop:
+        return replace(loop, alpha=1 - float(np.clip(x[0], 0.0, 0.99)))
+
+    starts = _from(now, *(s for s in (0.0, 0.2, 0.5, 0.8, 0.95) if s != now))
+    yield Family(change, partial(describe, shown=""), starts)
+    if "last_action" in _kinds(contract):
+        shown = partial(describe, shown=", and the policy's last action is what is left of it")
+        yield Family(lambda loop, x: change(loop, x).with_entries("source", {"last_action": "filtered"}), shown, starts)
 
 
 def _limits(contract: Contract, steps: Steps, loop: Loop) -> Iterator[Family]:

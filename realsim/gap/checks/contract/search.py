@@ -7,7 +7,7 @@ the search goes on. At the end, each that is taken is left out once, and stays o
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -136,7 +136,11 @@ def search(problem: Problem, loop: Loop) -> tuple[Loop, list[Trial]]:
         here, floor = problem.scales(loop), problem.noticed(loop)
         if not problem.worth(here, problem.floor, floor):  # whatever a mistake would explain
             break
-        best = _chosen(problem, here, floor, list(_tried(problem, loop, here)))
+        tried = list(_tried(problem, start, taken, here))
+        if any(t.family.size for t in taken) and tried:  # those near the best as well: what was taken is fitted to all
+            near = min(t.score for t in tried) + PRICE
+            tried = [_with_taken(problem, start, taken, t) if t.score < near else t for t in tried]
+        best = _chosen(problem, here, floor, tried)
         if best is None:
             break
         taken = _settled(problem, start, [*taken, best])
@@ -180,7 +184,45 @@ def _settled(problem: Problem, start: Loop, taken: list[Trial]) -> list[Trial]:
         best = _chosen(problem, here, problem.noticed(without), [t for t in again if t is not None])
         if best is not None:
             taken = [*taken[:k], best, *later]
-    return taken
+    return _together(problem, start, taken)
+
+
+def _together(problem: Problem, start: Loop, taken: list[Trial]) -> list[Trial]:
+    """All fitted at once: one after the other, a delay takes what is a filter's, and gives it back slowly."""
+    sizes = [t.family.size for t in taken]
+    if np.count_nonzero(sizes) < 2:
+        return taken
+    ends = np.cumsum(sizes)[:-1]
+    last = replace(taken[-1].family, starts=(taken[-1].values,))
+    found = _fitted(problem, start, _joined(taken[:-1], last), np.inf)
+    if found is None:
+        return taken
+    return [replace(t, values=v) for t, v in zip(taken, np.split(found.values, ends), strict=True)]
+
+
+def _with_taken(problem: Problem, start: Loop, taken: list[Trial], trial: Trial) -> Trial:
+    """A trial that was fitted on its own, fitted with all that was taken."""
+    if trial.family.size == 1:
+        return trial
+    whole = _joined(taken, replace(trial.family, starts=(trial.values,)))
+    found = _fitted(problem, start, whole, np.inf)
+    if found is None:
+        return trial
+    return replace(trial, values=found.values[whole.size - trial.family.size :], scales=found.scales)
+
+
+def _joined(taken: Sequence[Trial], last: Family) -> Family:
+    """What was taken, from where it is, and another family as one family."""
+    parts = [*(t.family for t in taken), last]
+    here, ends = [t.values for t in taken], np.cumsum([f.size for f in parts])[:-1]
+
+    def change(loop: Loop, x: F64) -> Loop:
+        for family, values in zip(parts, np.split(x, ends), strict=True):
+            loop = family.change(loop, values)
+        return loop
+
+    starts = tuple(np.concatenate([*here, s]) for s in last.starts)
+    return Family(change, last.describe, starts, np.concatenate([np.full(f.size, f.step) for f in parts]))
 
 
 def _beside(problem: Problem, loop: Loop, later: list[Trial], trial: Trial, first: float) -> Trial | None:
@@ -202,9 +244,15 @@ def _applied(loop: Loop, taken: list[Trial]) -> Loop:
     return loop
 
 
-def _tried(problem: Problem, loop: Loop, here: F64) -> Iterator[Trial]:
+def _tried(problem: Problem, start: Loop, taken: list[Trial], here: F64) -> Iterator[Trial]:
+    """All families, fitted; one of a single parameter beside what was taken, which may hold a part of what is its."""
+    loop = _applied(start, taken)
     for family in families(problem.contract, problem.steps, loop):
-        if family.size:
+        if family.size == 1 and taken:
+            found = _fitted(problem, start, _joined(taken, family), _cost(here))
+            if found is not None:
+                yield replace(found, family=family, values=found.values[-1:])
+        elif family.size:
             found = _fitted(problem, loop, family, _cost(here))
             if found is not None:
                 yield found
@@ -224,7 +272,8 @@ def _fitted(problem: Problem, loop: Loop, family: Family, first: float) -> Trial
     r = residual(x)
     scales = problem.scales_of(r)
     for turn in range(ITERATIONS):
-        columns = [((residual(x + family.step * e) - r) / family.step / scales).ravel() for e in np.eye(family.size)]
+        steps = family.step * np.eye(family.size)
+        columns = [((residual(x + e) - r) / e.max() / scales).ravel() for e in steps]
         J = np.stack(columns, axis=1)
         inner = J.T @ J
         inner += 1e-9 * max(float(np.trace(inner)), 1e-12) * np.eye(family.size)

@@ -40,6 +40,8 @@ _SETTINGS: dict[str, tuple[str, str, str, str]] = {
                        "actions.JointPositionAction.clip"),
     "clipped_target": ("--max-step, or the drive's limits", "joint limits on targets", "clip of the action's config",
                        "the drive's position limits"),
+    "action_filter": ("no filter between the policy and `write`", "no filter on targets, or train with it",
+                      "alpha of the EMA action's config", "no filter between the policy and motor_cmd.q"),
     "observation_scale": ("units of Reading: rad, rad/s", "scale of the observation's config", "scale of ObsTerm",
                           "observations.*.scale"),
     "observation_offset": ("the gyroscope's bias", "the gyroscope's bias", "the gyroscope's bias",

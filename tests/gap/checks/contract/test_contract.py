@@ -46,6 +46,8 @@ def loop(
     gain: float | np.ndarray = 1.0,
     told: float | np.ndarray = 1.0,
     noise: float | tuple[float, float, float] = 1e-3,
+    alpha: float = 1.0,
+    shown: float = 0.0,
     quick: int = 0,
 ) -> Steps:
     """A loop of its own over made-up readings, step by step, with a mistake in it."""
@@ -77,7 +79,9 @@ def loop(
             vector += past[kind][::-1] if newest_first else past[kind]
         vectors.append(np.concatenate(vector))
         action = contract.run(vectors[max(k - kept, 0)][None], None)[0]
-        sent.append(send(contract.default + gain * contract.scale * action))
+        wanted = send(contract.default + gain * contract.scale * action)
+        sent.append(wanted if not sent else alpha * wanted + (1 - alpha) * sent[-1])
+        action = (1 - shown) * action + shown * (sent[-1] - contract.default) / contract.scale
     command = np.array(sent)
     moved = np.ones(count, bool)
     sizes = np.broadcast_to(noise, 3)
@@ -114,6 +118,9 @@ DEFAULT = np.tile([0.1, 0.8, -1.5], 2)
         ({"history_order"}, {"newest_first": True}),
         ({"sensor_delay"}, {"late": 2}),
         ({"sensor_delay"}, {"kept": 1}),
+        ({"action_filter"}, {"alpha": 0.3}),
+        ({"action_filter"}, {"alpha": 0.7, "shown": 1.0}),
+        ({"action_filter", "sensor_delay"}, {"alpha": 0.5, "late": 1}),
         ({"clipped_target"}, {"send": lambda t: np.clip(t, DEFAULT - 0.02, DEFAULT + 0.04)}),
         ({"clipped_target"}, {"send": lambda t: np.clip(t, DEFAULT - 0.03, DEFAULT + 0.03)}),
         ({"gravity_frame", "sensor_delay"}, {"gravity": -1.0, "late": 2}),
@@ -128,6 +135,14 @@ def test_mistakes_are_named_one_after_the_other(kinds: set[str], mistake: dict[s
     assert {e["kind"] for e in found.errors} == kinds
     assert found.left > 2 * found.after
     assert all(e["setting"] for e in found.errors)
+
+
+def test_a_low_pass_of_the_contract_is_looked_for_in_the_log() -> None:
+    contract = replace(make_contract(), alpha=0.4)
+    assert check(contract, loop(contract, alpha=0.4)).verdict == "kept"
+    found = check(contract, loop(contract))
+    assert [e["kind"] for e in found.errors] == ["action_filter"]
+    assert "(alpha 0.4) is not in what is logged" in found.sentence
 
 
 def test_a_policy_that_is_run_in_the_robots_own_order_of_joints() -> None:
@@ -276,6 +291,14 @@ def test_a_policy_of_another_robot_is_refused() -> None:
         check(replace(contract, joints=("a", *JOINTS[1:])), loop(contract))
 
 
+NUMBERS = ("default_joint_pos", "action_scale", "joint_stiffness", "joint_damping")
+META = {
+    "joint_names": ",".join(JOINTS),
+    "observation_names": "base_ang_vel,projected_gravity,command,joint_pos,joint_vel,actions",
+}
+META |= dict.fromkeys(NUMBERS, ",".join(["0.5"] * 6))
+
+
 def onnx_policy(
     path: Path, width: int, meta: dict[str, str], weights: np.ndarray | None = None, rows: str | int = "n"
 ) -> Path:
@@ -299,12 +322,11 @@ def onnx_policy(
 
 
 def test_contracts_of_other_tools(tmp_path: Path) -> None:
-    six = ",".join(["0.5"] * 6)
-    numbers = ("default_joint_pos", "action_scale", "joint_stiffness", "joint_damping")
-    seen = "base_ang_vel,projected_gravity,command,joint_pos,joint_vel,actions"
-    meta = {"joint_names": ",".join(JOINTS), "observation_names": seen} | dict.fromkeys(numbers, six)
-    made = load_policy(str(onnx_policy(tmp_path / "mjlab.onnx", 27, meta)))  # paths may be text
+    made = load_policy(
+        str(onnx_policy(tmp_path / "mjlab.onnx", 27, META | {"action_alpha": "0.4"}))
+    )  # paths may be text
     assert made.joints == JOINTS
+    assert made.alpha == 0.4
     assert made.width == 27
     assert made.run(np.ones((2, 27)), None).shape == (2, 6)
 
@@ -342,10 +364,7 @@ def test_a_network_for_one_observation_is_run_for_many(tmp_path: Path) -> None:
     onnx = pytest.importorskip("onnx", reason="onnx is not installed: pip install -e '.[dev]'")
 
     weights = np.random.default_rng(0).normal(size=(27, 6)).astype(np.float32)
-    names = ",".join(JOINTS), "base_ang_vel,projected_gravity,command,joint_pos,joint_vel,actions"
-    numbers = ("default_joint_pos", "action_scale", "joint_stiffness", "joint_damping")
-    meta = {"joint_names": names[0], "observation_names": names[1]} | dict.fromkeys(numbers, ",".join(["0.5"] * 6))
-    file, seen = onnx_policy(tmp_path / "one.onnx", 27, meta, weights, rows=1), np.eye(27)[:5]
+    file, seen = onnx_policy(tmp_path / "one.onnx", 27, META, weights, rows=1), np.eye(27)[:5]
     (at_once,) = open_session(file, with_any_batch(file)).run(None, {"obs": seen.astype(np.float32)})
     assert at_once == pytest.approx(weights[:5])
     assert load_policy(file).run(seen, None) == pytest.approx(weights[:5])
@@ -366,6 +385,8 @@ def test_policies_that_cannot_be_read(tmp_path: Path) -> None:
         load_policy(onnx_policy(tmp_path / "bare.onnx", 27, {}))
     with pytest.raises(GapError, match="cannot be read"):
         load_policy(onnx_policy(tmp_path / "short.onnx", 27, {"joint_names": "a,b"}))
+    with pytest.raises(GapError, match="cannot be read"):
+        load_policy(onnx_policy(tmp_path / "alpha.onnx", 27, META | {"action_alpha": "0"}))
     for text, match in (
         ("a: " + "[" * 600, "YAML"), ("a: &a [1]\nb: *a\n", "YAML"), ("3", "no map"), ("x: 1\n", "no contract"),
     ):  # fmt: skip
@@ -379,9 +400,7 @@ def test_policies_that_cannot_be_read(tmp_path: Path) -> None:
 
 def test_weights_lie_beside_the_policy_wherever_it_is_started(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     onnx = pytest.importorskip("onnx", reason="onnx is not installed: pip install -e '.[dev]'")
-    six = ",".join(["0.5"] * 6)
-    numbers = ("default_joint_pos", "action_scale", "joint_stiffness", "joint_damping")
-    meta = {"joint_names": ",".join(JOINTS), "observation_names": "joint_pos"} | dict.fromkeys(numbers, six)
+    meta = META | {"observation_names": "joint_pos"}
     home, away = tmp_path / "home", tmp_path / "away"
     home.mkdir()
     away.mkdir()
