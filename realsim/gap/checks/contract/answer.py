@@ -160,7 +160,8 @@ def _errors(problem: Problem, start: Loop, taken: list[Trial], notes: list[str])
         if trial.kind == "timing":
             notes.append(trial.text)
             continue
-        rivals = [{"kind": r.kind, "text": r.text} for r in trial.rivals if r.kind != "timing"]
+        kinds = {r.kind: {"kind": r.kind, "text": r.text} for r in reversed(trial.rivals)}  # the best of each
+        rivals = [r for kind, r in kinds.items() if kind not in (trial.kind, "timing")]
         found.append(_error(problem.contract, trial.kind, trial.text, problem.left(loop), rivals))
     return found
 

@@ -56,7 +56,7 @@ class Trial:
     scales: F64
     """(J,) rad: root of the mean square and the floor's."""
     rivals: tuple[Trial, ...] = ()
-    """Of one that was taken: what explains as much."""
+    """Of one that was taken: what explains as much, of any kind, the best first."""
 
     @property
     def score(self) -> float:
@@ -164,9 +164,8 @@ def _chosen(problem: Problem, here: F64, floor: F64, tried: list[Trial]) -> Tria
         return None
     least = min(tried, key=lambda t: t.score)
     best = min((t for t in tried if _same(t, least)), key=lambda t: t.family.size + t.family.read)
-    near = sorted((t for t in tried if t.score < least.score + TIE and not _same(t, least)), key=lambda t: -t.score)
-    rivals = {t.kind: t for t in near if t.kind != best.kind}
-    return replace(best, rivals=tuple(rivals.values()))
+    near = (t for t in tried if t.score < least.score + TIE and not _same(t, least))
+    return replace(best, rivals=tuple(sorted(near, key=lambda t: t.score)))
 
 
 def _same(a: Trial, b: Trial) -> bool:
@@ -174,30 +173,28 @@ def _same(a: Trial, b: Trial) -> bool:
 
 
 def _settled(problem: Problem, start: Loop, taken: list[Trial]) -> list[Trial]:
-    """Each but the last fitted again, and chosen again among its rivals, with the others in their places: what came
-    first was fitted to what came later too."""
+    """All fitted again together, and each but the last chosen again among its rivals: what came first was fitted to
+    what came later too."""
     for k in range(len(taken) - 1):
-        before, later = _applied(start, taken[:k]), taken[k + 1 :]
-        without = _applied(before, later)
-        here = problem.scales(without)
-        again = [_beside(problem, before, later, t, _cost(here)) for t in (taken[k], *taken[k].rivals)]
-        best = _chosen(problem, here, problem.noticed(without), [t for t in again if t is not None])
+        without = _applied(start, [*taken[:k], *taken[k + 1 :]])
+        fits = [_together(problem, start, [*taken[:k], t, *taken[k + 1 :]]) for t in (taken[k], *taken[k].rivals)]
+        again = [replace(fit[k], scales=problem.scales(_applied(start, fit))) for fit in fits]
+        best = _chosen(problem, problem.scales(without), problem.noticed(without), again)
         if best is not None:
-            taken = [*taken[:k], best, *later]
-    return _together(problem, start, taken)
+            fit = next(f for f in fits if f[k].values is best.values)
+            taken = [*fit[:k], best, *fit[k + 1 :]]
+    return taken
 
 
 def _together(problem: Problem, start: Loop, taken: list[Trial]) -> list[Trial]:
     """All fitted at once: one after the other, a delay takes what is a filter's, and gives it back slowly."""
     sizes = [t.family.size for t in taken]
-    if np.count_nonzero(sizes) < 2:
-        return taken
-    ends = np.cumsum(sizes)[:-1]
     last = replace(taken[-1].family, starts=(taken[-1].values,))
-    found = _fitted(problem, start, _joined(taken[:-1], last), np.inf)
+    found = _fitted(problem, start, _joined(taken[:-1], last), np.inf) if any(sizes) else None
     if found is None:
-        return taken
-    return [replace(t, values=v) for t, v in zip(taken, np.split(found.values, ends), strict=True)]
+        return [replace(t, values=t.values.copy()) for t in taken]
+    parts = np.split(found.values, np.cumsum(sizes)[:-1])
+    return [replace(t, values=v) for t, v in zip(taken, parts, strict=True)]
 
 
 def _with_taken(problem: Problem, start: Loop, taken: list[Trial], trial: Trial) -> Trial:

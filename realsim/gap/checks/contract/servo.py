@@ -17,8 +17,10 @@ that its velocities may leave, for those gains to be believed: a quarter of the 
 SAME = 0.15
 """Relative difference below which a gain is as it should be: rounding, how well drives know their torque, and rows that
 miss what a stiff joint does between them (up to 0.11 at 50 Hz on the simulated quadruped)."""
-AGES = (0.0, 0.125, 0.25, 0.375, 0.5, 0.75, 1.0)
-"""Rows by which the readings behind a torque are older than its row."""
+AGES = np.linspace(0, 1, 33)
+"""Rows by which the readings behind a torque are older than its row. Between steps of an eighth, a joint that speeds up
+within a row made gains of 1.15 to 1.19 (3 in 79 logs of a hexapod with right gains; with these none, and as many wrong
+gains are found)."""
 
 
 def check_gains(contract: Contract, steps: Steps) -> str | None:
