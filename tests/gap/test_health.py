@@ -72,6 +72,20 @@ def test_a_good_log_raises_no_alarm(good: Case) -> None:
     assert found["noise"]["joint_pos"]["replicates"] is None
 
 
+def test_a_torque_that_its_servo_gives_is_not_odd_whatever_the_joint_meets(good: Case) -> None:
+    kp, kv = good.model.actuator_gainprm[0, 0], -good.model.actuator_biasprm[0, 2]
+
+    def moved(run: Run) -> Run:  # as if something else carried it and pushed it
+        pos = run.signals["joint_pos"].copy()
+        pos[:, 0] = run.command[:, 0] + 0.02 * np.sin(40 * run.time)
+        vel = np.gradient(pos, run.time, axis=0)
+        torque = kp * (run.command - pos) - kv * vel
+        return replace(run, signals={**run.signals, "joint_pos": pos, "joint_vel": vel, "joint_torque": torque})
+
+    case = good.with_runs(tuple(map(moved, good.runs)))
+    assert not any("another course" in w for w in health(case)["warnings"])
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
