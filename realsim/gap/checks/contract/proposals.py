@@ -208,9 +208,9 @@ def listed(joints: Sequence[str], values: F64, neutral: float, form: str) -> str
 def _gains(contract: Contract, steps: Steps, loop: Loop) -> Iterator[Family]:
     """The action scale: one factor, or one a joint."""
     yield Family(
-        lambda loop, x: replace(loop, gain=loop.gain * np.exp(x[0])),
-        lambda x: ("action_scale", f"actions are scaled by {np.exp(x[0]):.3g} of what they should be"),
-        _from(0.0, *(np.log(f) for f in FACTORS if f)),
+        lambda loop, x: replace(loop, gain=loop.gain * (1 + x[0])),
+        lambda x: ("action_scale", f"actions are scaled by {1 + x[0]:.3g} of what they should be"),
+        _from(0.0, *(f - 1 for f in FACTORS if f)),
     )
     yield Family(
         lambda loop, x: replace(loop, gain=loop.gain * (1 + x)),

@@ -139,7 +139,7 @@ def search(problem: Problem, loop: Loop) -> tuple[Loop, list[Trial]]:
         tried = list(_tried(problem, start, taken, here))
         if any(t.family.size for t in taken) and tried:  # those near the best as well: what was taken is fitted to all
             near = min(t.score for t in tried) + PRICE
-            tried = [_with_taken(problem, start, taken, t) if t.score < near else t for t in tried]
+            tried = [_together(problem, start, [*taken, t])[-1] if t.score < near else t for t in tried]
         best = _chosen(problem, here, floor, tried)
         if best is None:
             break
@@ -178,34 +178,20 @@ def _settled(problem: Problem, start: Loop, taken: list[Trial]) -> list[Trial]:
     for k in range(len(taken) - 1):
         without = _applied(start, [*taken[:k], *taken[k + 1 :]])
         fits = [_together(problem, start, [*taken[:k], t, *taken[k + 1 :]]) for t in (taken[k], *taken[k].rivals)]
-        again = [replace(fit[k], scales=problem.scales(_applied(start, fit))) for fit in fits]
-        best = _chosen(problem, problem.scales(without), problem.noticed(without), again)
+        best = _chosen(problem, problem.scales(without), problem.noticed(without), [fit[k] for fit in fits])
         if best is not None:
             fit = next(f for f in fits if f[k].values is best.values)
             taken = [*fit[:k], best, *fit[k + 1 :]]
     return taken
 
 
-def _together(problem: Problem, start: Loop, taken: list[Trial]) -> list[Trial]:
+def _together(problem: Problem, start: Loop, trials: list[Trial]) -> list[Trial]:
     """All fitted at once: one after the other, a delay takes what is a filter's, and gives it back slowly."""
-    sizes = [t.family.size for t in taken]
-    last = replace(taken[-1].family, starts=(taken[-1].values,))
-    found = _fitted(problem, start, _joined(taken[:-1], last), np.inf) if any(sizes) else None
-    if found is None:
-        return [replace(t, values=t.values.copy()) for t in taken]
-    parts = np.split(found.values, np.cumsum(sizes)[:-1])
-    return [replace(t, values=v) for t, v in zip(taken, parts, strict=True)]
-
-
-def _with_taken(problem: Problem, start: Loop, taken: list[Trial], trial: Trial) -> Trial:
-    """A trial that was fitted on its own, fitted with all that was taken."""
-    if trial.family.size == 1:
-        return trial
-    whole = _joined(taken, replace(trial.family, starts=(trial.values,)))
-    found = _fitted(problem, start, whole, np.inf)
-    if found is None:
-        return trial
-    return replace(trial, values=found.values[whole.size - trial.family.size :], scales=found.scales)
+    last = replace(trials[-1].family, starts=(trials[-1].values,))
+    whole = _fitted(problem, start, _joined(trials[:-1], last))
+    assert whole is not None
+    parts = np.split(whole.values, np.cumsum([t.family.size for t in trials])[:-1])
+    return [replace(t, values=v, scales=whole.scales) for t, v in zip(trials, parts, strict=True)]
 
 
 def _joined(taken: Sequence[Trial], last: Family) -> Family:
@@ -222,19 +208,6 @@ def _joined(taken: Sequence[Trial], last: Family) -> Family:
     return Family(change, last.describe, starts, np.concatenate([np.full(f.size, f.step) for f in parts]))
 
 
-def _beside(problem: Problem, loop: Loop, later: list[Trial], trial: Trial, first: float) -> Trial | None:
-    """A trial fitted again from where it was, with later ones after it."""
-
-    def change(loop: Loop, x: F64) -> Loop:
-        return _applied(trial.family.change(loop, x), later)
-
-    if not trial.family.size:
-        return replace(trial, scales=problem.scales(change(loop, trial.values)))
-    whole = replace(trial.family, change=change, starts=(trial.family.starts[0], trial.values))
-    again = _fitted(problem, loop, whole, first)
-    return None if again is None else replace(again, family=trial.family)
-
-
 def _applied(loop: Loop, taken: list[Trial]) -> Loop:
     for trial in taken:
         loop = trial.applied(loop)
@@ -243,32 +216,26 @@ def _applied(loop: Loop, taken: list[Trial]) -> Loop:
 
 def _tried(problem: Problem, start: Loop, taken: list[Trial], here: F64) -> Iterator[Trial]:
     """All families, fitted; one of a single parameter beside what was taken, which may hold a part of what is its."""
-    loop = _applied(start, taken)
+    loop, first = _applied(start, taken), _cost(here)
     for family in families(problem.contract, problem.steps, loop):
         if family.size == 1 and taken:
-            found = _fitted(problem, start, _joined(taken, family), _cost(here))
-            if found is not None:
-                yield replace(found, family=family, values=found.values[-1:])
-        elif family.size:
-            found = _fitted(problem, loop, family, _cost(here))
-            if found is not None:
-                yield found
+            found = _fitted(problem, start, _joined(taken, family), first)
         else:
-            neutral = family.starts[0]
-            yield Trial(family, neutral, problem.scales(family.change(loop, neutral)))
+            found = _fitted(problem, loop, family, first if family.size else np.inf)
+        if found is not None:
+            yield replace(found, family=family, values=found.values[len(found.values) - family.size :])
     yield from _irregular(problem, loop)
 
 
-def _fitted(problem: Problem, loop: Loop, family: Family, first: float) -> Trial | None:
-    """Gauss-Newton with a weight a joint, from the best start; None where the first step gains nothing."""
+def _fitted(problem: Problem, loop: Loop, family: Family, first: float = np.inf) -> Trial | None:
+    """Gauss-Newton with a weight a joint, from the best start; None where nothing is gained on a `first` cost."""
 
     def residual(x: F64) -> F64:
         return problem.residual(family.change(loop, x))
 
-    x = min(family.starts, key=lambda start: _cost(problem.scales_of(residual(start))))
-    r = residual(x)
+    r, x = min(((residual(x), x) for x in family.starts), key=lambda start: _cost(problem.scales_of(start[0])))
     scales = problem.scales_of(r)
-    for turn in range(ITERATIONS):
+    for turn in range(ITERATIONS if family.size else 0):
         steps = family.step * np.eye(family.size)
         columns = [((residual(x + e) - r) / e.max() / scales).ravel() for e in steps]
         J = np.stack(columns, axis=1)
